@@ -6,10 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from command_line import printed_json, run
+from touched_dataset import touched_dataset
 from toy_skin import toy_presses
 
 from eitskin.cli.commands.own_sensor.adapt import twin_in_words
-from eitskin.datasets import Dataset, State, save_dataset
+from eitskin.datasets import State, save_dataset
 from eitskin.errors import ConfigurationError
 from eitskin.training import Pipeline, open_pipeline
 from eitskin.training.adaptation.press_fit import LabelledPresses
@@ -33,10 +34,9 @@ def bends(pipeline):
     share = GAIN * angles[:, None] / 45.0
     flat = pipeline.layout.reference
     frames = flat * np.exp(share * known.bend[0] + share**2 * known.bend[1])
-    return Dataset.from_arrays(
+    return touched_dataset(
         frames * (1.0 + 2e-4 * rng.normal(size=frames.shape)),
         flat,
-        specimen=np.zeros(len(angles)),
         state=np.full(len(angles), State.BEND),
         bend_angle_deg=angles,
         time=np.arange(len(angles)),
@@ -48,17 +48,9 @@ def bends(pipeline):
 
 def toy_recording(count=25):
     ratio, places, depth = toy_presses(count)
-    x, y, travel = np.full((3, count, 4), np.nan)
-    x[:, 0], y[:, 0], travel[:, 0] = *places.T, depth
-    return Dataset.from_arrays(
-        ratio,
-        np.ones(8),
-        touch_x=x,
-        touch_y=y,
-        touch_depth=travel,
-        state=np.full(count, State.TOUCH),
-        time=np.arange(count),
-    )
+    known = {"state": np.full(count, State.TOUCH), "time": np.arange(count)}
+    known["touch_depth"] = np.where(np.arange(4) == 0, depth[:, None], np.nan)
+    return touched_dataset(ratio, np.ones(8), places, **known)
 
 
 def nearest(presses):

@@ -5,8 +5,9 @@ import json
 import numpy as np
 import pytest
 from command_line import run
+from touched_dataset import touched_dataset
 
-from eitskin.datasets import Dataset, State, save_dataset
+from eitskin.datasets import State, save_dataset
 from eitskin.geometry import SensorDesign
 from eitskin.hardware.virtual import virtual_board
 from eitskin.simulator import Protocol
@@ -26,16 +27,12 @@ def presses(n=60):
     change = 0.01 * np.cos(20.0 * places[:, :1] + phase) + 0.01 * np.sin(
         40.0 * places[:, 1:] * phase
     )
-    x, y = np.full((2, n, 4), np.nan)
-    x[:, 0], y[:, 0] = places.T
-    return Dataset.from_arrays(
+    return touched_dataset(
         FLAT * (1.0 + change),
         FLAT,
+        places,
         touch_reference=np.tile(FLAT, (n, 1)),
-        specimen=np.zeros(n),
         state=np.full(n, State.TOUCH),
-        touch_x=x,
-        touch_y=y,
         time=np.arange(n),
         protocol=PROTOCOL,
         design=SensorDesign.reference(),
