@@ -82,7 +82,7 @@ def run(
         tables=[shown],
         sentences=[
             f"{len(data) - len(unseen)} frames to learn from, {len(unseen)} of {specimens} other "
-            "specimens to be judged by"
+            "specimens to test on"
         ],
     )
 

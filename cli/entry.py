@@ -78,7 +78,7 @@ def describe_failure(error: Exception) -> str:
     except OSError:
         last = traceback.extract_tb(error.__traceback__)[-1]
         place = f", in {last.name}, line {last.lineno}; no report could be written"
-    return f"eitskin: this is a fault of eitskin ({type(error).__name__}){place}\n"
+    return f"eitskin: this is a bug in eitskin ({type(error).__name__}){place}\n"
 
 
 def failure_report(error: Exception) -> str:

@@ -233,7 +233,7 @@ def run(
             "trained on one sensor",
             SSIM_DEFINITION,
             f"touches are matched by the Hungarian method within {1e3 * GATE:g} mm",
-            "bounds: white noise alone, of the nominal sensor, some of the frames, each by itself",
+            "bounds: white noise alone, of the nominal sensor, some of the frames, one at a time",
             *(
                 f"seed {seed}: signal to noise of a touch, rms, per channel: {ratio.min():.1f} "
                 f"least, {np.median(ratio):.1f} median, {ratio.max():.1f} most"

@@ -178,7 +178,7 @@ def _meter_remarks(fit: "simulator.MeterFit", terms: tuple[str, ...]) -> Iterato
     """Sentences about what the frames do not call for, and what they do not determine."""
     fitted = {parameter.name for parameter in fit.parameters}
     if left_out := ", ".join(term for term in terms if term not in fitted):
-        yield f"not called for by these frames, and left out: {left_out}"
+        yield f"left out, because these frames do not need them: {left_out}"
     numbers = 1 + len(fit.parameters)
     if fit.distinct_readings <= numbers:
         yield (

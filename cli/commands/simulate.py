@@ -238,7 +238,7 @@ def announce_unsolved(
     if unsolved:
         several = unsolved > 1
         output.note(
-            f"solving the presses of {unsolved} indenter{'s' * several} that "
+            f"solving the touches of {unsolved} indenter{'s' * several} that "
             f"{'are' if several else 'is'} new to this sensor, once: from ten seconds to a few "
             f"minutes each; kept in {cache_folder()}"
         )

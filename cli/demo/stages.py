@@ -352,7 +352,7 @@ def _presses(demo: Demo, path: Path, stage: Stage) -> str:
     true, places = held_out_positions(learned, recording)
     figure = draw_error_vectors(None, true, places.place).figure
     caption = (
-        f"{path.name}: the last {len(true)} presses of a robot on a real, round hydrogel skin, "
+        f"{path.name}: the last {len(true)} touches by a robot on a real, round hydrogel skin, "
         "left out of the training; to scale. Lines from true to estimated positions."
     )
     drawn = CaptionedFigure(figure, caption)

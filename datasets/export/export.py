@@ -274,7 +274,7 @@ _EPISODES = """## Features
 `meta/info.json` names the features of a frame: `observation.*` is what a board measures and the
 flat sensor it is compared with, `label.*` the truth. In labels NaN is unknown or absent, and state
 255 unknown. There are no actions. `timestamp` is the time since the episode began [s]; `fps` is one
-over the usual interval. `meta/episodes` tells the specimen and the split of each episode."""
+over the usual interval. `meta/episodes` has the specimen and the split of each episode."""
 
 
 def _feature(column: Column) -> list[str]:

@@ -242,7 +242,7 @@ class FiniteStack:
         self.solid = DentedSolid(body.mesh, body.laws, body.law_of_cell, body.stack.bulk_ratio)
         if self.solid.unknowns > _MAX_UNKNOWNS:
             raise ConfigurationError(
-                f"the stack under these presses needs {self.solid.unknowns} unknowns, of which "
+                f"the stack under these touches needs {self.solid.unknowns} unknowns, of which "
                 f"{_MAX_UNKNOWNS} (about 8 GB) are allowed; press with larger indenters, or "
                 "model a smaller part of the sensor"
             )

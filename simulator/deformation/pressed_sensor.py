@@ -165,7 +165,7 @@ def solved_presses(
     carried.
     """
     if isinstance(design.outline, Surface):
-        raise ConfigurationError("presses on a body from a surface file are solved on tetrahedra")
+        raise ConfigurationError("touches on a body from a surface file are solved on tetrahedra")
     stack, contacts = mechanics.stack(design), []
     dents: list[DentField] = []
     punches: list[PunchedArea] = []
@@ -189,7 +189,7 @@ def solved_presses(
                 contacts.append(Contact(at_x, at_y, part * radius, (along, across), within))
             continue
         if depth is None:
-            raise ConfigurationError("presses are solved to depths, got one without")
+            raise ConfigurationError("touches are solved to depths, got one without")
         require_on_stack(design.outline, x, y, indenter.rims[1] - mechanics.margin)
         contacts.append(Contact(x, y, indenter.rims[1], (along, across)))
         dents.append(DentField(x, y, indenter, _dent(stack, indenter, depth), frame))

@@ -230,7 +230,7 @@ def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
     count = len(first)
     if count < MIN_PRESSES or extent == 0.0:
         raise DataError(
-            f"learning touch positions needs at least {MIN_PRESSES} presses of one touch, at "
+            f"learning touch positions needs at least {MIN_PRESSES} frames of one touch, at "
             f"different positions, and an untouched reference, got {count}; record more"
         )
     knowledge = SheetKnowledge.from_design(extent, design, labelled.protocol, logs.shape[1])

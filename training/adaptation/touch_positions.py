@@ -77,7 +77,7 @@ class TouchPositions(Method):
                 size, deviation = min(float(strength[row]), 1.0), places.deviation[at]
                 touches[row] = FoundTouches.from_arrays(places.place[at], size, deviation=deviation)
                 problems[row] = tuple(
-                    f"channel {self.labels[i]} departs from what all others say and is left out"
+                    f"channel {self.labels[i]} contradicts all others and is left out"
                     for i in np.flatnonzero(misfits[at])
                 )
         unknown = np.full(count, np.nan)

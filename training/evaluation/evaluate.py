@@ -330,11 +330,11 @@ class PositionScore:
         """Reasons not to believe in the estimates, a sentence each."""
         few = []
         if self.frames < 10:
-            few.append(f"too few presses were held out ({self.frames}) to know the error")
+            few.append(f"too few touches were held out ({self.frames}) to know the error")
         if self.mean_error_mm > 0.8 * self.guess_error_mm:
             few.append(
                 f"the mean error of {self.mean_error_mm:.0f} mm is not clearly below the "
-                f"{self.guess_error_mm:.0f} mm of always guessing the mean place"
+                f"{self.guess_error_mm:.0f} mm of always guessing the mean position"
             )
         remedy = "record presses at 50 places or more, all over the sensor"
         return tuple(f"{each}; {remedy}" for each in few)

@@ -271,8 +271,8 @@ def localisation_errors(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
         return NoFigure("no touch was matched to a true one")
     return draw_errors(
         error,
-        f"Localisation errors of {len(error)} touches that were found, in frames with one to four. "
-        f"A touch counts as found within {1e3 * GATE:g} mm; the largest errors are counted in the "
+        f"Localisation errors of {len(error)} detected touches, in frames with one to four. "
+        f"Detected is a touch within {1e3 * GATE:g} mm; the largest errors are counted in the "
         "last bin.",
     )
 
@@ -332,9 +332,9 @@ def _nearest(evaluation: Evaluation, count: int, angle_deg: float) -> int | None
 def _draw_touch_maps(
     evaluation: Evaluation, wanted: Sequence[tuple[int, float]], title: str, missing: str
 ) -> CaptionedFigure | NoFigure:
-    """Grid of images, a column for each kind, a row for each frame nearest to what is wanted.
+    """Grid of images, a column for each kind, a row for each frame nearest to a target.
 
-    Wanted are numbers of touches and angles [deg]; `missing` is the reason where no frame is near.
+    Targets are numbers of touches and angles [deg]; `missing` is the reason where no frame is near.
     """
     near = dict.fromkeys(_nearest(evaluation, *each) for each in wanted)
     rows = [row for row in near if row is not None]
@@ -356,7 +356,7 @@ def _draw_touch_maps(
         draw_panels(panels, len(pictures), shares=True),
         f"{title}: the frame nearest to each angle, without selection, each image scaled to its "
         "largest magnitude; reconstructions are against the flat sensor and against the bent one. "
-        f"Dashed: the true touches; crosses: those found. {SSIM_DEFINITION}",
+        f"Dashed: the true touches; crosses: the detected ones. {SSIM_DEFINITION}",
     )
 
 

@@ -252,7 +252,7 @@ def _touch_rows(report: Report) -> Iterator[Row]:
         shown = f"in {untouched.touched:.2%} of {untouched.frames} frames"
         yield "touches where there are none", "-", shown
     if calibration := report.place_calibration:
-        yield "place error / standard error", "-", _consistency(calibration)
+        yield "position error / standard error", "-", _consistency(calibration)
     if force := report.force:
         shown = f"{force.mean_error_n:.2f} N (bias {force.bias_n:+.2f})"
         yield "force of a touch: error", "-", shown
@@ -270,7 +270,7 @@ def _state_rows(report: Report) -> Iterator[Row]:
     if "bend" in told_apart:
         yield "bend recognised", NOTHING, _text("{:.1%}", states.accuracy["bend"])
     if states.left_out:
-        yield "frames of another state", NOTHING, f"{states.left_out}, not judged"
+        yield "frames of another state", NOTHING, f"{states.left_out}, not scored"
 
 
 def _bend_rows(report: Report) -> Iterator[Row]:

@@ -44,7 +44,7 @@ class TouchLabel:
     def __post_init__(self) -> None:
         """Raise DataError for a place or force that cannot be."""
         if not (math.isfinite(self.x) and math.isfinite(self.y)):
-            raise DataError(f"expected the place of a touch in metres, got ({self.x}, {self.y})")
+            raise DataError(f"expected the position of a touch in metres, got ({self.x}, {self.y})")
         if self.force is not None and not (math.isfinite(self.force) and self.force > 0.0):
             raise DataError(
                 f"expected the force of a touch above 0 N, or None where unknown, got {self.force}"

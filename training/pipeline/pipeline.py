@@ -392,8 +392,8 @@ class Pipeline:
                 pipeline runs no other.
 
         Raises:
-            ConfigurationError: for a pipeline of somebody's own method without its code, or with
-                other code.
+            ConfigurationError: for a pipeline of a custom method without its code, or with other
+                code.
             DataError: for one that is damaged, changed, impossible, too new, or computes otherwise.
         """
         saved = read_pipeline(path)

@@ -93,7 +93,7 @@ these frames (other indenters, wear) are untested.
 ```
 """
 ANGLE_LIMITS: Final = """ The gain of an uncalibrated
-angle errs by 10 % and more between sensors of one design: calibrate for angles. For a touched
+angle has an error of 10 % and more between sensors of one design: calibrate. For a touched
 sensor the paper's method gives the angle before the touch."""
 FLAT_LIMITS: Final = """ It was trained without bends:
 a sensor that is bent later may be taken for a touched one."""

@@ -351,7 +351,7 @@ class Session:
                 "across electrodes, or the board; dry the plug, look at its wires"
             )
         if self._lingers:
-            problems.append("what touched before may touch yet, too faintly to tell where")
+            problems.append("an earlier touch may go on, too faintly to locate")
         if self._outdated and self.touched and self.bends:
             problems.append(
                 f"no frames came for more than {MAX_GAP:g} s before this touch: its position "

@@ -341,7 +341,7 @@ class SessionTasks(Closeable, SessionCommands):
         options = SetupOptions(angles, presses, frames)
         if max(presses, options.frames) > MAX_FRAMES:
             raise ConfigurationError(
-                f"expected at most {MAX_FRAMES} presses, and frames in each pose, got "
+                f"expected at most {MAX_FRAMES} touches, and frames in each pose, got "
                 f"{presses} and {options.frames}"
             )
         out = self._fresh("setup", ".eitmodel")

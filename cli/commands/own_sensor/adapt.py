@@ -179,7 +179,7 @@ def in_words(pipeline: "training.Pipeline") -> str:
             pipeline.trained_on["validated"]["mean_error_mm"],
         )
         return (
-            f"touch positions from {frames} frames of presses, {error:.1f} mm off in presses that "
+            f"touch positions from {frames} frames of touches, {error:.1f} mm off in touches that "
             "were left out"
         )
     facts = pipeline.adaptation
@@ -196,7 +196,7 @@ def twin_in_words(trial: "Mapping[str, Any]") -> str:
 
     judged = TwinTrial(**trial)
     if judged.without is None or judged.with_twin is None:
-        return "; touches answer as on the twin, which no known touch has judged"
+        return "; the touch response is the twin's, which no known touch tested"
     left = f"{judged.without:.1%} of the known touches' changes unexplained, {judged.with_twin:.1%}"
     return f"; {left} with the twin, which is {'taken' if judged.accepts_twin else 'not taken'}"
 

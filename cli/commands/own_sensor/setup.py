@@ -200,7 +200,7 @@ class Setup:
             if start.targets.angle and angles:
                 steps.append(("angles", f"{len(angles)} known bend angles", self._bend))
         if presses:
-            steps.append(("presses", f"{presses} presses at named places", self._press))
+            steps.append(("presses", f"{presses} touches at named positions", self._press))
         for name, what, work in steps:
             self._step(name, what, open_board, work)
         return self._finish()

@@ -98,7 +98,7 @@ def test_a_gel_that_is_never_bent(never_bent, tmp_path):
     assert report.states.accuracy["bend"] is report.bend.rmse_deg is None
     rows = {name.strip(): here for name, _, here in table_rows(report)}
     assert rows["not estimated"] == "the state bend, the bend angle, forces"
-    assert rows["frames of another state"] == "16, not judged"
+    assert rows["frames of another state"] == "16, not scored"
     assert not any("bend" in name for name in rows)
 
 
