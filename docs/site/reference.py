@@ -47,9 +47,9 @@ def files_page() -> str:
     """Markdown of the keys of all files."""
     parts = [
         "# Files\n\nKeys of every TOML file, generated from the code. Units are SI. "
-        "Keys with a default may be left out; unknown keys are refused with a suggestion. Paths "
-        "are relative to the file that names them. If a key takes one of several tables, the keys "
-        "in it decide which.\n"
+        "All keys but those marked as required may be left out; unknown keys are refused with a "
+        "suggestion. Paths are relative to the file that names them. If a key takes one of several "
+        "tables, the keys in it decide which.\n"
     ]
     shown: set[object] = set()
     for title, (where, kinds) in FILES.items():
@@ -71,14 +71,13 @@ def commands_page() -> str:
     commands = list(_commands("eitskin", group))
     counts = Counter(row for _, _, command in commands for row in _rows(command))
     frequent = [row for row, count in reversed(counts.most_common()) if count >= COMMON]
-    by_option = {row.split()[1].strip("`"): row for row in frequent}
+    by_option = {row.split()[1].strip("`:"): row for row in frequent}
     common = {row for option, row in by_option.items() if option.startswith("--")}
-    head = "| argument or option | meaning |\n|---|---|\n"
     parts = [
         "# Commands\n\nGenerated from the code; the help of each command (`-h`) shows the "
         "same. All commands take `--json`, `--quiet` and `--verbose`.\n\n## Common options\n\n"
         "Where a command lists such an option itself, its own meaning holds.\n\n"
-        f"{head}{chr(10).join(sorted(common))}\n"
+        f"{chr(10).join(sorted(common))}\n"
     ]
     panel = ""
     for path, top, command in commands:
@@ -91,7 +90,7 @@ def commands_page() -> str:
         parts.append(f"### {path}\n\n{text}\n")
         parts.append("```bash\n" + "\n".join(command_examples(path)) + "\n```\n")
         if own:
-            parts.append(head + "\n".join(own) + "\n")
+            parts.append("\n".join(own) + "\n")
         if shared:
             parts.append(f"Common: `{shared}`.\n")
     return "\n".join(parts)
@@ -114,13 +113,13 @@ def _commands(
 
 
 def _rows(command: typing.Any) -> Iterator[str]:
-    """Rows of the table of a command's arguments and options."""
+    """Items of the list of a command's arguments and options."""
     for each in command.params:
         name = usage_name(each)
         if name in ("`--json`", "`--quiet`", "`--verbose`", "`--help`") or each.hidden:
             continue
         note = f" Default: {each.default}." if each.default not in (None, False, "", ()) else ""
-        yield f"| {name} | {_cell(each.help or '')}{note} |"
+        yield f"- {name}: {' '.join((each.help or '').split())}{note}"
 
 
 def usage_name(parameter: typing.Any) -> str:
@@ -134,7 +133,7 @@ def usage_name(parameter: typing.Any) -> str:
 def _metavar(parameter: typing.Any) -> str:
     annotation = parameter.type_descriptor.annotation
     if typing.get_origin(annotation) is typing.Literal:
-        return "\\|".join(typing.get_args(annotation))
+        return "|".join(typing.get_args(annotation))
     return parameter.metavar or parameter.name.upper()
 
 
@@ -146,7 +145,7 @@ def _keys(kind: typing.Any) -> Iterator[tuple[str, typing.Any, str, str]]:
         for field in dataclasses.fields(kind):
             default = _default(field.default)
             if field.default_factory is not dataclasses.MISSING:
-                default = "below" if _tables(hints[field.name]) else "empty"
+                default = ""
             text = described.get(field.name, "")
             for base in kind.__mro__[1:]:  # a property that the field implements
                 if not text and field.name in vars(base):
@@ -166,13 +165,13 @@ def _keys_table(kind: typing.Any, rows: list[tuple[str, typing.Any, str, str]]) 
     sections = ("Args", "Attributes", "Raises", "Example", "Returns")
     if rest and not rest[0].startswith((*sections, " ")):
         lines += [" ".join(rest[0].split()), ""]
-    lines += ["| key | type | default | meaning |", "|---|---|---|---|"]
     described = [
-        (f"{_type(hint)} | {default} | {_cell(text)}", name) for name, hint, default, text in rows
+        (f"({_type(hint)}{default}): {text}".removesuffix(": "), name)
+        for name, hint, default, text in rows
     ]
-    for cells, alike in itertools.groupby(described, lambda row: row[0]):
+    for item, alike in itertools.groupby(described, lambda row: row[0]):
         names = ", ".join(f"`{name}`" for _, name in alike)
-        lines.append(f"| {names} | {cells} |")
+        lines.append(f"- {names} {item}")
     return "\n".join([*lines, ""])
 
 
@@ -213,10 +212,10 @@ def _tables(annotation: typing.Any) -> list[typing.Any]:
 
 def _default(value: object) -> str:
     if value in (dataclasses.MISSING, inspect.Parameter.empty):
-        return "needed"
-    if value is None or value in ((), ""):
-        return "none"
-    return "below" if dataclasses.is_dataclass(value) else f"`{_toml(value)}`"
+        return ", required"
+    if value is None or value in ((), "") or dataclasses.is_dataclass(value):
+        return ""
+    return f", default `{_toml(value)}`"
 
 
 def _toml(value: object) -> str:
@@ -225,10 +224,6 @@ def _toml(value: object) -> str:
     if isinstance(value, tuple):
         return "[" + ", ".join(_toml(each) for each in value) + "]"
     return f'"{value}"' if isinstance(value, str) else str(value)
-
-
-def _cell(text: str) -> str:
-    return " ".join(text.split()).replace("|", "\\|")
 
 
 PAGES = {"files.md": files_page, "commands.md": commands_page}
