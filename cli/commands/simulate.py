@@ -97,7 +97,7 @@ def _drive(
     view: Path | None, color: str | None, drive: str | None, electrodes: int
 ) -> tuple[int, int] | None:
     """Drive pair of the picture, checked with its file before any computation."""
-    from eitskin.simulator.view.render import require_picture
+    from eitskin.simulator.view.drawing import require_picture
 
     if view is not None:
         require_picture(view)
@@ -268,7 +268,7 @@ def mesh(
     """Mesh a sensor: number and quality of its cells, and a picture."""
     from eitskin.geometry.meshing.mesh_design import mesh_design
     from eitskin.simulator.electrical.resolution import discretisation, suited_cells
-    from eitskin.simulator.view.render import require_picture
+    from eitskin.simulator.view.drawing import require_picture
 
     design = options.read_design(sensor)
     kind = cells or suited_cells(resolution, design)

@@ -13,8 +13,8 @@ from eitskin.geometry.meshing.mesh import Mesh
 from eitskin.geometry.meshing.mesh_design import CellKind, natural_cells
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.forward_model import ForwardModel
-from eitskin.simulator.view import shapes
-from eitskin.simulator.view.render import DIRECTION, MATT, TRUE, Panel, colour_scale, render
+from eitskin.simulator.view import drawing
+from eitskin.simulator.view.drawing import DIRECTION, MATT, TRUE, Panel, colour_scale, render
 
 Array = NDArray[np.float64]
 
@@ -83,9 +83,9 @@ def draw_drive(
 
 def _sensor(mesh: Mesh) -> Panel:
     def draw(plotter: Any) -> None:
-        shapes.add_solid(plotter, shapes.outside(shapes.volume(mesh)), shapes.GEL, 0.5)
-        shapes.add_electrodes(plotter, mesh)
-        shapes.add_numbers(plotter, mesh, range(len(mesh.electrode_facets)))
+        drawing.add_solid(plotter, drawing.outside(drawing.volume(mesh)), drawing.GEL, 0.5)
+        drawing.add_electrodes(plotter, mesh)
+        drawing.add_numbers(plotter, mesh, range(len(mesh.electrode_facets)))
 
     return Panel("sensor", mesh.points, draw)
 
@@ -109,12 +109,12 @@ def _cells_panel(mesh: Mesh, electrode: int) -> Panel:
 
 def _add_cells(plotter: Any, mesh: Mesh, line: float, below: float | None = None) -> None:
     """Add cells, all or those below a height [m], and electrodes, with edges `line` pixels wide."""
-    edges: dict[str, Any] = {"show_edges": True, "edge_color": shapes.EDGE, "line_width": line}
-    cells = shapes.volume(mesh)
+    edges: dict[str, Any] = {"show_edges": True, "edge_color": drawing.EDGE, "line_width": line}
+    cells = drawing.volume(mesh)
     if below is not None:
         cells = cells.extract_cells(cells.cell_centers().points[:, 2] < below)
-    plotter.add_mesh(shapes.outside(cells), color=shapes.GEL, **edges, **MATT)
-    shapes.add_electrodes(plotter, mesh, **edges)
+    plotter.add_mesh(drawing.outside(cells), color=drawing.GEL, **edges, **MATT)
+    drawing.add_electrodes(plotter, mesh, **edges)
 
 
 def _potential(mesh: Mesh, potential: Array, drive: tuple[int, int]) -> Panel:
@@ -122,9 +122,9 @@ def _potential(mesh: Mesh, potential: Array, drive: tuple[int, int]) -> Panel:
     reach = float(potential.max())
 
     def draw(plotter: Any) -> None:
-        cells = shapes.volume(mesh)
+        cells = drawing.volume(mesh)
         cells["potential"] = potential
-        surface = shapes.outside(cells)
+        surface = drawing.outside(cells)
         plotter.add_mesh(
             surface,
             scalars="potential",
@@ -135,9 +135,9 @@ def _potential(mesh: Mesh, potential: Array, drive: tuple[int, int]) -> Panel:
         )
         levels = np.linspace(-reach, reach, _CONTOURS + 2)[1:-1]
         contours = surface.contour(levels, scalars="potential")
-        shapes.add_lines(plotter, contours, mesh, color="#333333", opacity=0.7)
-        shapes.add_electrodes(plotter, mesh, drive)
-        shapes.add_numbers(plotter, mesh, drive)
+        drawing.add_lines(plotter, contours, mesh, color="#333333", opacity=0.7)
+        drawing.add_electrodes(plotter, mesh, drive)
+        drawing.add_numbers(plotter, mesh, drive)
 
     title = f"potential, driven from {drive[0]} to {drive[1]}"
     return Panel(title, mesh.points, draw, legend=True)
@@ -145,13 +145,13 @@ def _potential(mesh: Mesh, potential: Array, drive: tuple[int, int]) -> Panel:
 
 def _lines(mesh: Mesh, density: Array, drive: tuple[int, int]) -> Panel:
     def draw(plotter: Any) -> None:
-        shapes.add_solid(plotter, shapes.outside(shapes.volume(mesh)), shapes.GEL, 0.25)
-        lines = shapes.lines_of_current(mesh, density, drive[0], _LINES)
+        drawing.add_solid(plotter, drawing.outside(drawing.volume(mesh)), drawing.GEL, 0.25)
+        lines = drawing.lines_of_current(mesh, density, drive[0], _LINES)
         low, high = np.percentile(lines["magnitude"], [10.0, 98.0])
         limits = max(float(low), 0.01 * float(high)), float(high)
         _add_magnitude(plotter, lines, limits, "current density [A/m2 per A]", line_width=2.5)
-        shapes.add_electrodes(plotter, mesh, drive)
-        shapes.add_numbers(plotter, mesh, drive)
+        drawing.add_electrodes(plotter, mesh, drive)
+        drawing.add_numbers(plotter, mesh, drive)
 
     return Panel(f"current, {_LINES} lines of equal share", mesh.points, draw, legend=True)
 
@@ -161,16 +161,16 @@ def _density_panel(mesh: Mesh, density: Array, electrode: int) -> Panel:
     around, eye = _box_around_electrode(mesh, electrode), in_front(mesh, electrode)
 
     def draw(plotter: Any) -> None:
-        cells = shapes.volume(mesh)
+        cells = drawing.volume(mesh)
         cells.cell_data["magnitude"] = np.linalg.norm(density, axis=1)
         away = np.linalg.norm(cells.cell_centers().points - around.mean(axis=0), axis=1)
         near = cells["magnitude"][away < 0.6 * np.linalg.norm(np.ptp(around, axis=0))]
         limits = float(np.percentile(near, 5.0)), float(near.max())
         title = "mean current density in cells [A/m2 per A]"
-        _add_magnitude(plotter, shapes.outside(cells), limits, title, **TRUE)
-        plate = shapes.electrode_plate(mesh, electrode, lift=0.0).clean(tolerance=1e-6)
+        _add_magnitude(plotter, drawing.outside(cells), limits, title, **TRUE)
+        plate = drawing.electrode_plate(mesh, electrode, lift=0.0).clean(tolerance=1e-6)
         rim = plate.extract_feature_edges(feature_edges=False, manifold_edges=False)
-        shapes.add_lines(plotter, rim, mesh, eye, color=shapes.PLUS, line_width=3.0)
+        drawing.add_lines(plotter, rim, mesh, eye, color=drawing.PLUS, line_width=3.0)
 
     title = f"current density at electrode {electrode}"
     return Panel(title, around, draw, legend=True, direction=eye)
@@ -187,7 +187,7 @@ def _add_magnitude(
 
 def _box_around_electrode(mesh: Mesh, electrode: int) -> Array:
     """Corners, (8, 3) [m], of a box about an electrode, twice as large, within the body."""
-    corners, _ = shapes.electrode_corners(mesh, electrode)
+    corners, _ = drawing.electrode_corners(mesh, electrode)
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     middle, reach = 0.5 * (low + high), 1.1 * float((high - low).max())
     bounds = np.clip([middle - reach, middle + reach], mesh.points.min(axis=0), mesh.points.max(0))
@@ -196,7 +196,7 @@ def _box_around_electrode(mesh: Mesh, electrode: int) -> Array:
 
 def height_inside(mesh: Mesh, electrode: int) -> float | None:
     """Height of an electrode that lies level inside the body [m]; None for all others."""
-    heights = shapes.electrode_corners(mesh, electrode)[0][..., 2]
+    heights = drawing.electrode_corners(mesh, electrode)[0][..., 2]
     low, high = mesh.points[:, 2].min(), mesh.points[:, 2].max()
     edge = 1e-6 * (high - low)
     inside = np.ptp(heights) < edge and low + edge < heights.mean() < high - edge
@@ -208,7 +208,7 @@ def in_front(mesh: Mesh, electrode: int) -> Array:
 
     Below the body for an electrode at its bottom.
     """
-    _, normal = shapes.electrode_corners(mesh, electrode)
+    _, normal = drawing.electrode_corners(mesh, electrode)
     eye: Array = normal + 0.3 * np.cross([0.0, 0.0, 1.0], normal) + [0.0, 0.0, 0.7]
     if np.linalg.norm(eye[:2]) < 0.3:
         eye = DIRECTION * [1.0, 1.0, -1.0 if normal[2] < -0.5 else 1.0]

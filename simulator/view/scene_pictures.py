@@ -19,8 +19,8 @@ from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.forward_model import AreaRatio, ForwardModel
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Field, Simulator
-from eitskin.simulator.view import shapes
-from eitskin.simulator.view.render import MATT, TRUE, Panel, colour_scale, render
+from eitskin.simulator.view import drawing
+from eitskin.simulator.view.drawing import MATT, TRUE, Panel, colour_scale, render
 
 Array = NDArray[np.float64]
 Colour = Literal["conductance", "strain", "current"]
@@ -155,7 +155,7 @@ def _values(
         layer = sim.deformed_layer(scene)
         fields = layer.conductivity, layer.area_ratio
         density = deformed_current_density(model, layer.deformation, (plus, minus), *fields)
-        cells = shapes.volume(flat)
+        cells = drawing.volume(flat)
         cells.cell_data["values"] = 1e-3 * np.linalg.norm(density, axis=1)  # of 1 mA
         return np.array(cells.cell_data_to_point_data()["values"], dtype=float)
     if colour == "strain":
@@ -184,7 +184,7 @@ def indenter_surfaces(sim: Simulator, scene: Scene) -> list[Any]:
             if bent is not None:
                 left_vectors, _, right = np.linalg.svd(bent.gradient(tip))
                 tip, turned = bent.positions(tip), left_vectors @ right
-            bodies.append(shapes.indenter_surface(press.touch.indenter, tip, turned))
+            bodies.append(drawing.indenter_surface(press.touch.indenter, tip, turned))
     return bodies
 
 
@@ -228,17 +228,17 @@ def _draw_body(
     plotter: Any,
 ) -> None:
     """Add the deformed body in its colours, a net of equal x and y, electrodes and indenters."""
-    cells = shapes.volume(body)
+    cells = drawing.volume(body)
     cells["values"], cells["flat"] = values, flat.points
-    surface = shapes.outside(cells)
+    surface = drawing.outside(cells)
     smooth = {"smooth_shading": True, "split_sharp_edges": True}
     plotter.add_mesh(surface, scalars="values", **smooth, **scale)
     spacing = round_number(np.ptp(flat.points, axis=0).max() / _NET)
     for position in surface["flat"][:, :2].T:
         levels = np.arange(position.min() + spacing, position.max() - 0.01 * spacing, spacing)
         lines = surface.contour(levels, scalars=position)
-        shapes.add_lines(plotter, lines, flat, color=shapes.EDGE, opacity=0.6)
-    shapes.add_electrodes(plotter, body, drive)
-    shapes.add_numbers(plotter, body, range(len(body.electrode_facets)))
+        drawing.add_lines(plotter, lines, flat, color=drawing.EDGE, opacity=0.6)
+    drawing.add_electrodes(plotter, body, drive)
+    drawing.add_numbers(plotter, body, range(len(body.electrode_facets)))
     for indenter in indenters:
-        shapes.add_solid(plotter, indenter, shapes.GLASS, 0.25, angle=20.0)
+        drawing.add_solid(plotter, indenter, drawing.GLASS, 0.25, angle=20.0)

@@ -16,7 +16,7 @@ from eitskin.geometry.meshing.mesh_design import natural_cells
 from eitskin.simulator.electrical.resolution import Discretisation, discretisation
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Simulator
-from eitskin.simulator.view import shapes
+from eitskin.simulator.view import drawing
 
 Array = NDArray[np.float64]
 Drive = tuple[int, int]
@@ -85,7 +85,7 @@ def scene_grids(
         F = deformation.gradient(middles)
     forward, pulled_back = F / np.linalg.det(F)[:, None, None], layer.conductivity(middles)
     spatial = forward @ pulled_back @ np.swapaxes(F, -1, -2)
-    body = shapes.volume(dataclasses.replace(mesh, points=points))
+    body = drawing.volume(dataclasses.replace(mesh, points=points))
     body["displacement_m"] = points - mesh.points
     body["largest_strain_1"] = largest_strain(deformation, mesh.points)
     body["thinning_1"] = thinning(sim, deformation, mesh.points)
@@ -94,7 +94,7 @@ def scene_grids(
     body["pulled_back_conductivity_S_per_m"] = pulled_back.reshape(-1, 9)
     densities, name = forward @ fields.current_densities, "current_density_{}_{}_A_per_m2_per_A"
     body.cell_data.update(_values_by_drive(name, densities, pairs))
-    electrodes = shapes.polygons(corners)
+    electrodes = drawing.polygons(corners)
     electrodes["electrode"] = electrode
     electrodes["contact_impedance_ohm_m2"] = np.real(model.contact_impedance)[electrode]
     potentials = fields.electrode_potentials[electrode]

@@ -13,8 +13,8 @@ from eitskin.geometry.deformation.kinematics import Displaced, largest_strain
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh_design import mesh_design
 from eitskin.simulator import ForwardModel, Scene, Touch
+from eitskin.simulator.view import drawing
 from eitskin.simulator.view import scene_pictures as view
-from eitskin.simulator.view import shapes
 from eitskin.simulator.view.model_pictures import (
     draw_drive,
     draw_mesh,
@@ -39,7 +39,7 @@ BAR = bar_between_electrodes(contact_impedance=1e-3)  # the current density is 1
 @pytest.mark.parametrize("kind", ["hexahedra", "prisms"])
 def test_lines_of_current_in_a_bar_are_straight_and_carry_its_density(kind) -> None:
     model = ForwardModel(BAR, ((1, 1), FEW), cells=kind)
-    lines = shapes.lines_of_current(model.mesh, model.current_density((0, 1)), plus=0, count=10)
+    lines = drawing.lines_of_current(model.mesh, model.current_density((0, 1)), plus=0, count=10)
     assert lines.n_cells == 10
     assert lines["magnitude"] == pytest.approx(1.0 / (0.010 * 0.005), rel=1e-6)
     for number in range(lines.n_cells):
@@ -48,7 +48,7 @@ def test_lines_of_current_in_a_bar_are_straight_and_carry_its_density(kind) -> N
     x = lines.points[:, 0]
     assert (x.min(), x.max()) == pytest.approx((0.0, 0.040), abs=3e-3)
     # They spread over the electrode they begin on.
-    many = shapes.lines_of_current(model.mesh, model.current_density((0, 1)), 0, count=40)
+    many = drawing.lines_of_current(model.mesh, model.current_density((0, 1)), 0, count=40)
     for axis, extent in ((1, 0.010), (2, 0.005)):
         quarters = np.histogram(many.points[:, axis], bins=4, range=(0.0, extent))[0]
         assert quarters.min() > 0.5 * quarters.mean()
