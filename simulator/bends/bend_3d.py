@@ -182,7 +182,7 @@ class ClampedStack:
         solid, compliance = self.solid, self._clamp.compliance
         X = solid.nodes
         plate = np.flatnonzero(self._on_plate(X.T))
-        moved = [] if compliance else [(3 * plate[:, None] + np.arange(3)).ravel()]
+        moved = [] if compliance else [solid.displacement_unknowns(plate)]
         mirrored = [3 * np.flatnonzero(X[:, axis] < _TOLERANCE) + axis for axis in (0, 1)]
         fixed = np.unique(np.concatenate([*moved, *mirrored]))
         bond = None

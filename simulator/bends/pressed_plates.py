@@ -31,10 +31,16 @@ from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.design.sensor import Plates, SensorDesign
 from eitskin.simulator.bends import bend_table
 from eitskin.simulator.deformation.contact import BentState, ContactFrame, DentField
+from eitskin.simulator.deformation.correction import Correction
 from eitskin.simulator.deformation.corrections import load_table
 from eitskin.simulator.deformation.field import CubicSplines, Field
-from eitskin.simulator.deformation.finite_stack import Correction, FiniteStack
-from eitskin.simulator.deformation.indentation_tables import Indentations, PressFields, solve_each
+from eitskin.simulator.deformation.finite_stack import FiniteStack
+from eitskin.simulator.deformation.indentation_tables import (
+    Indentations,
+    PressFields,
+    solve_each,
+    tabulate,
+)
 from eitskin.simulator.deformation.node_sums import (
     BOTH_MIRRORED,
     DIRECT,
@@ -46,7 +52,7 @@ from eitskin.simulator.deformation.node_sums import (
 from eitskin.simulator.deformation.press_table import indenter_samples
 from eitskin.simulator.deformation.sensor_grid import SensorGrid
 from eitskin.simulator.deformation.solution_store import Arrays, Problem, Report
-from eitskin.simulator.deformation.solution_table import Axis, SolutionTable
+from eitskin.simulator.deformation.solution_table import Axis
 from eitskin.simulator.deformation.stack_mesh import Fineness
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.indenters import Indenter
@@ -170,19 +176,10 @@ class PlatesCase:
 
     def _solve(self, report: Report) -> Arrays:
         axes, about = self.axes(), self.indentations
-        shape = [len(axis.nodes) for axis in axes]
         places = [(float(x), float(y)) for x in axes[0].nodes for y in axes[1].nodes]
         log.info("solving presses on plates, about %d minutes of one core", _MINUTES)
         solved = solve_each(partial(solve_place, self), report, _WORKERS, places)
-        fields = np.array([each.fields for each in solved])
-        table = SolutionTable.from_solutions(
-            axes,
-            fields.reshape(*shape, *fields.shape[-4:]),
-            {"extra_depth": np.reshape([each.extra_depth for each in solved], shape)},
-            {**about.sizes, "nodes": self.bases()[0].nodes},
-            _TOLERANCE,
-        )
-        return table.arrays()
+        return tabulate(about, axes, solved, _TOLERANCE, nodes=self.bases()[0].nodes).arrays()
 
 
 def solve_place(case: PlatesCase, place: tuple[float, float]) -> PressFields:

@@ -84,7 +84,7 @@ class ClampedBody:
         self.body = TetrahedralSolid(mesh, mechanics or Mechanics())
         held = {side: self._clamped_nodes(side) for side in (-1.0, 1.0)}
         nodes = np.concatenate([*held.values()])
-        fixed: Indices = np.sort((3 * nodes[:, None] + np.arange(3)).ravel())
+        fixed = np.sort(self.body.solid.displacement_unknowns(nodes))
         axis, longest = self._centre - np.array([0.0, 0.0, offset]), _MAX_STEP
         self.plates = TurningPlates(self.body.solid, held, axis, fixed, None, longest)
 

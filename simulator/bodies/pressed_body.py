@@ -115,8 +115,7 @@ class BodyPress:
         grading = grading or body_grading(design, smallest / _PER_RADIUS)
         near = np.concatenate([self._points_below(t, grading.finest) for t in self.touches])
         self.body = TetrahedralSolid(mesh_body(design, grading, near), self._mechanics)
-        base = self._base()
-        self._fixed: Indices = np.sort((3 * base[:, None] + np.arange(3)).ravel())
+        self._fixed = np.sort(self.body.solid.displacement_unknowns(self._base()))
         self._contacts = [self._contact(number) for number in range(len(self.touches))]
 
     def equilibrium(self) -> PressedBody:

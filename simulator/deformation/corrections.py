@@ -6,7 +6,6 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +39,8 @@ from eitskin.simulator.scene.indenters import Indenter
 Array = NDArray[np.float64]
 Numbers = NDArray[np.floating]
 Indices = NDArray[np.int64]
+Corrected = tuple[list[Field], float]
+"""Fields of a correction, and by how much deeper a press sinks [m]."""
 
 # Over the thickness of the stack: length of a rectangle, so that its ends do not affect each other,
 # radius of a disc, so that there are several distances from the rim, and extent of other outlines.
@@ -58,13 +59,6 @@ _KINDS: dict[str, tuple[Callable[..., SolutionTable], int]] = {
     "pair": (pair_tables.solve_pair, 4),
     "pair-sides": (pair_tables.solve_pair_sides, 1),
 }
-
-
-class PressCorrection(NamedTuple):
-    """Fields of a correction, and by how much deeper a press sinks [m]."""
-
-    fields: list[Field]
-    extra_depth: float
 
 
 def is_tabulable(design: SensorDesign) -> bool:
@@ -266,15 +260,8 @@ class Corrections:
                 f"{1e3 * depth:.2f} mm; press less, or solve scenes with touch_model='solved'"
             )
 
-    def correct_press(self, x: float, y: float, depth: float) -> PressCorrection:
-        """Correction of one press at (x, y) to a depth [m], as of `evaluate`."""
-        sums = rectangle_sums(self.design, 1, 4) if self.strip else None
-        fields, extra = self.evaluate(np.array([[x, y, depth]]), np.zeros(1, int), sums)
-        summed = sums.fields(self.design.thickness, self.scales) if sums else []
-        return PressCorrection([*summed, *fields[0]], float(extra[0]))
-
     def evaluate(
-        self, places: Array, scenes: Indices | None = None, sums: NodeSums | None = None
+        self, places: Array, scenes: Indices, sums: NodeSums | None
     ) -> tuple[list[list[Field]], Array]:
         """Corrections of presses at places (x, y, depth), (n, 3) [m].
 
@@ -288,14 +275,13 @@ class Corrections:
             self.check_depth(depth)
             require_on_stack(outline, x, y, least)
         if self.strip and isinstance(outline, Rectangle):
-            scenes = np.zeros(len(places), int) if scenes is None else scenes
             extra = self._on_strip(outline, places, scenes, sums)
             return [[] for _ in places], extra + self._rectangle_side_corrections(
                 places, scenes, sums
             )
         press = self._on_disc if isinstance(outline, Disc) else self._straight_side_correction
         found = [press(*place) for place in places.tolist()]
-        return [each.fields for each in found], np.array([each.extra_depth for each in found])
+        return [fields for fields, _ in found], np.array([extra for _, extra in found])
 
     def _on_strip(
         self, outline: Rectangle, places: Array, scenes: Indices, sums: NodeSums | None
@@ -362,7 +348,7 @@ class Corrections:
                 sums.add(modes, amounts[here], factors[0], factors[1], scenes[p], images[s])
         return extra
 
-    def _straight_side_correction(self, x: float, y: float, depth: float) -> PressCorrection:
+    def _straight_side_correction(self, x: float, y: float, depth: float) -> Corrected:
         """Sum of corrections next to the sides in reach, each without ends but for its fade."""
         base, outline = self.first, self.design.outline
         reach = float(base.nodes("distance_to_side")[-1])
@@ -370,7 +356,7 @@ class Corrections:
         thickness = self.design.encapsulated_thickness
         sides += [image for side in sides for image in side.corner_images(reach, thickness)]
         if not sides:
-            return PressCorrection([], 0.0)
+            return [], 0.0
         bases = CubicSplines(base.sizes["along"]), CubicSplines(base.sizes["inward"])
         varied, weights = zip(*self.varied, strict=True)
         table, asides = sum_of(base, varied, 4), np.array([side.aside for side in sides])
@@ -386,9 +372,9 @@ class Corrections:
             parts = side.share * coefficients
             fields.append(Field(bases, self.design.thickness, parts, frame, fade))
             sunk += more * fade.press_fraction() if side.ends else 0.0
-        return PressCorrection(fields, sunk)
+        return fields, sunk
 
-    def _on_disc(self, x: float, y: float, depth: float) -> PressCorrection:
+    def _on_disc(self, x: float, y: float, depth: float) -> Corrected:
         """Correction on a disc: by symmetry that of a press on the x axis, turned."""
         radius, height = 0.5 * self.design.outline.length, self.design.thickness
         distance = math.dist((x, y), (radius, radius))
@@ -405,4 +391,4 @@ class Corrections:
             splines = CubicSplines(table.sizes["nodes"])
             fields.append(Field((splines, splines), height, coefficients, frame))
             extra += float(more[0])
-        return PressCorrection(fields, extra)
+        return fields, extra

@@ -1,20 +1,30 @@
 """Deformation of the layer by presses: superposed axisymmetric dents and their corrections."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from types import ModuleType
 from typing import Protocol
 
 import numpy as np
+from numpy.polynomial import legendre
 from numpy.typing import NDArray
+from scipy.interpolate import PPoly
 
 from eitskin.compiled import compiled_kernels
 from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points
 from eitskin.simulator.deformation.contact import ContactFrame
 from eitskin.simulator.deformation.field import Field
-from eitskin.simulator.deformation.press_table import TabulatedDent, dent_powers
 
 Array = NDArray[np.float64]
 
+DEGREE = 5
+"""Degree of the polynomials of a dent over the height of the layer."""
+# Legendre coefficients of the derivative of a polynomial, from its own.
+_DERIVATIVE = np.vstack([legendre.legder(np.eye(DEGREE + 1)), np.zeros(DEGREE + 1)])
+# Coefficients of powers, of those of Legendre polynomials.
+_POWERS = np.zeros((DEGREE + 1, DEGREE + 1))
+for _n in range(DEGREE + 1):
+    _POWERS[_n, : _n + 1] = legendre.leg2poly(np.eye(_n + 1)[_n])
 _HAIR = 1e-9  # [m]
 KERNELS = "eitskin.simulator.deformation.kernels"
 
@@ -29,6 +39,72 @@ class ColumnField(Protocol):
     def displacement_and_gradient(self, columns: Array) -> Array:
         """Displacement [m] and its derivatives by x, y, z, (12, h, n)."""
         ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TabulatedDent:
+    """Dent of one press, from a press table.
+
+    Attributes:
+        force: force of the indenter [N].
+        depth: depth of the indenter's lowest point under the undeformed top of the stack [m].
+        contact_radius: radius of the contact area in the deformed stack [m].
+        peak_pressure: largest contact pressure [Pa].
+        thinning: 1 - thickness over undeformed thickness of the layer, on the axis.
+        share: share of the force due to the shear modulus of the layer, (mu / F) dF/dmu.
+        thickness: thickness of the undeformed layer [m].
+        profile: piecewise cubics in r of the coefficients of u, w and the mean stress in Legendre
+            polynomials over the height, (coefficients, 3).
+    """
+
+    force: float
+    depth: float
+    contact_radius: float
+    peak_pressure: float
+    thinning: float
+    share: float
+    thickness: float
+    profile: PPoly
+
+    @property
+    def reach(self) -> float:
+        """Distance from the axis beyond which nothing moves [m]."""
+        return float(self.profile.x[-1])
+
+    def motion(self, r: Array, z: Array) -> Array:
+        """u, w, du/dz, dw/dz, du/dr and dw/dr, (n, 6, h): u outwards and w upwards [m].
+
+        At distances r > 0 (n,) from the axis and heights z (n, h) over the layer's bottom [m].
+        """
+        inside = np.minimum(r, self.reach)
+        P = self.height_polynomials(z)
+        c, slopes = self.profile(inside)[..., :2], self.profile(inside, 1)[..., :2]
+        pairs = ((P, c), (self.derivatives(P), c), (P, slopes))
+        parts = [np.einsum("nhm,nmf->nfh", Q, v) for Q, v in pairs]
+        return np.concatenate(parts, axis=-2)
+
+    def mean_stress(self, r: Array, z: Array) -> Array:
+        """Mean stress [Pa], positive in tension, (n, h) at r (n,) and z (n, h)."""
+        coefficients = self.profile(np.minimum(r, self.reach))[..., 2]
+        return np.asarray(np.einsum("nhm,nm->nh", self.height_polynomials(z), coefficients))
+
+    def derivatives(self, P: Array) -> Array:
+        """Derivatives along z [1/m] of the Legendre polynomials with values P (..., m)."""
+        return np.asarray(P @ (_DERIVATIVE * (2.0 / self.thickness)))
+
+    def height_polynomials(self, z: Array) -> Array:
+        """Legendre polynomials (..., m) at heights z (...) [m]."""
+        return np.asarray(legendre.legvander(2.0 * z / self.thickness - 1.0, DEGREE))
+
+
+@lru_cache(maxsize=16)
+def dent_powers(dent: TabulatedDent) -> Array:
+    """Piecewise cubics in r of u and w, of the powers 0 to 5 of the level each, (m, 4, 12).
+
+    From the highest power of r. Levels go from -1 to 1 over the height.
+    """
+    c = np.ascontiguousarray(dent.profile.c.transpose(1, 0, 3, 2)[:, :, :2])
+    return np.asarray((c.reshape(-1, DEGREE + 1) @ _POWERS).reshape(len(c), 4, -1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

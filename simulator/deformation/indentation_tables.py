@@ -14,11 +14,12 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import Disc, PlaneOutline, Rectangle
 from eitskin.geometry.design.sensor import Support
 from eitskin.simulator.deformation.contact import DentField
+from eitskin.simulator.deformation.correction import Correction
 from eitskin.simulator.deformation.field import Basis, CubicSplines, Field, Polynomials
-from eitskin.simulator.deformation.finite_stack import Correction, FiniteStack
+from eitskin.simulator.deformation.finite_stack import FiniteStack
 from eitskin.simulator.deformation.fitted_plan import Contact
 from eitskin.simulator.deformation.solution_store import Report, processes
-from eitskin.simulator.deformation.solution_table import Axis, SolutionTable
+from eitskin.simulator.deformation.solution_table import TOLERANCE, Axis, SolutionTable
 from eitskin.simulator.deformation.stack_mesh import Fineness, StackMesh, stack_mesh
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.layer_stack import Indentation, Mechanics, Stack
@@ -207,9 +208,13 @@ def tabulate(
     case: Indentations,
     axes: Sequence[Axis],
     solutions: Sequence[PressFields],
+    tolerance: float = TOLERANCE,
     **sizes: float | Array,
 ) -> SolutionTable:
-    """Table of solutions over axes, the last of which are depths."""
+    """Table of solutions over axes, the last of which are depths.
+
+    `tolerance` is that of `SolutionTable.from_solutions`.
+    """
     shape = [axis.weights(axis.nodes[:1]).shape[-1] for axis in axes]
     fields = np.array([each.fields for each in solutions])
     extra = np.array([each.extra_depth for each in solutions])
@@ -218,6 +223,7 @@ def tabulate(
         fields.reshape(*shape, *fields.shape[-4:]),
         {"extra_depth": extra.reshape(shape)},
         {**case.sizes, **sizes},
+        tolerance,
     )
 
 

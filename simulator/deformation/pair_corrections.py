@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.deformation import pair_tables
 from eitskin.simulator.deformation.corrections import (
-    PressCorrection,
     TabledSensor,
     load_table,
     on_even_base,
-    rectangle_sums,
 )
 from eitskin.simulator.deformation.field import Field, Frame
 from eitskin.simulator.deformation.node_sums import (
@@ -33,8 +31,6 @@ from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-Place = tuple[float, float, float]
-"""Position and depth (x, y, depth) of a press [m]."""
 
 _TOLERANCE = 1e-9  # [m]
 
@@ -68,27 +64,12 @@ class PairCorrections:
     sides: SolutionTable | None = None
     modulus: float | None = None
 
-    def correct_pair(self, first: Place, second: Place) -> PressCorrection:
-        """Change by presses (x, y, depth) [m], and by how much deeper each sinks [m].
-
-        No fields where the presses do not affect each other.
-        """
-        sums = rectangle_sums(self.design, 1, 4) if self.sides else None
-        places = np.array([first]), np.array([second])
-        ((field,), extra) = self.evaluate(*places, np.zeros(1, int), sums)
-        if field is None:
-            return PressCorrection([], 0.0)
-        modulus = self.modulus or self.wide.size("modulus")
-        scales = np.array([1.0, 1.0, self.design.thickness, modulus])
-        summed = sums.fields(self.design.thickness, scales) if sums else []
-        return PressCorrection([field, *summed], float(extra[0]))
-
     def evaluate(
         self,
         first: Array,
         second: Array,
-        scenes: Indices | None = None,
-        sums: NodeSums | None = None,
+        scenes: Indices,
+        sums: NodeSums | None,
     ) -> tuple[list[Field | None], Array]:
         """Changes by pairs of presses (x, y, depth), (n, 3) [m] each.
 
@@ -116,7 +97,7 @@ class PairCorrections:
             at_x, at_y = middle[k].tolist()
             frame = Frame(at_x, at_y, math.cos(angle[k]), math.sin(angle[k]))
             fields[number] = Field(bases, height, amounts[k] * scales, frame)
-        if self.sides is not None and sums is not None and scenes is not None:
+        if self.sides is not None and sums is not None:
             near = np.flatnonzero(apart < self.sides.nodes("axis_distance")[-1])
             pairs = middle[near], apart[near], angle[near], deep[near]
             _add_of_sides(self.sides, *pairs, scenes[felt[near]], sums)

@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import Rigid
 from eitskin.simulator.deformation.contact import DentField
+from eitskin.simulator.deformation.correction import Correction
 from eitskin.simulator.deformation.field import CubicSplines, Field, Polynomials
-from eitskin.simulator.deformation.finite_stack import Correction, FiniteStack
+from eitskin.simulator.deformation.finite_stack import FiniteStack
 from eitskin.simulator.deformation.indentation_tables import (
     Bases,
     Indentations,

@@ -1,4 +1,4 @@
-"""Table of presses of one indenter on one unbounded stack, and its dents."""
+"""Table of presses of one indenter on one unbounded stack."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -13,6 +13,7 @@ from scipy.interpolate import CubicSpline, PPoly
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.simulator.deformation.dents import DEGREE, TabulatedDent
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid, StackGrid
 from eitskin.simulator.deformation.solution_store import Arrays, Problem, Report, load_or_solve
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
@@ -27,14 +28,6 @@ _VERSION = 2
 # Everything is solved at one scale: a layer this thick [m], of this shear modulus [Pa].
 _THICKNESS, _MODULUS = 0.005, 20e3
 _SAMPLES = 65  # of the indenter's profile, which identify the indenter
-_DEGREE = 5  # over the height of the layer
-# Legendre coefficients of the derivative of a polynomial, from its own.
-_DERIVATIVE = np.vstack([legendre.legder(np.eye(_DEGREE + 1)), np.zeros(_DEGREE + 1)])
-# Coefficients of powers, of those of Legendre polynomials.
-_POWERS = np.zeros((_DEGREE + 1, _DEGREE + 1))
-for _n in range(_DEGREE + 1):
-    _POWERS[_n, : _n + 1] = legendre.leg2poly(np.eye(_n + 1)[_n])
-
 _DEPTHS = 18
 _MAX_DEPTH = 0.6  # of the thickness of the stack
 # Depths are spaced like k^1.5, since forces and dents grow about like depth to the power 1 to 1.5.
@@ -45,72 +38,6 @@ _KNOT = 0.1  # spacing of radial knots near the indenter, over the layer's thick
 _KNOT_GROWTH = 0.1
 _FIRST = 0.4  # of the first depth: an additional shallow press, for accuracy
 _NEGLIGIBLE = 1e-4  # displacements over the depth at which a dent ends
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TabulatedDent:
-    """Dent of one press, from a press table.
-
-    Attributes:
-        force: force of the indenter [N].
-        depth: depth of the indenter's lowest point under the undeformed top of the stack [m].
-        contact_radius: radius of the contact area in the deformed stack [m].
-        peak_pressure: largest contact pressure [Pa].
-        thinning: 1 - thickness over undeformed thickness of the layer, on the axis.
-        share: share of the force due to the shear modulus of the layer, (mu / F) dF/dmu.
-        thickness: thickness of the undeformed layer [m].
-        profile: piecewise cubics in r of the coefficients of u, w and the mean stress in Legendre
-            polynomials over the height, (coefficients, 3).
-    """
-
-    force: float
-    depth: float
-    contact_radius: float
-    peak_pressure: float
-    thinning: float
-    share: float
-    thickness: float
-    profile: PPoly
-
-    @property
-    def reach(self) -> float:
-        """Distance from the axis beyond which nothing moves [m]."""
-        return float(self.profile.x[-1])
-
-    def motion(self, r: Array, z: Array) -> Array:
-        """u, w, du/dz, dw/dz, du/dr and dw/dr, (n, 6, h): u outwards and w upwards [m].
-
-        At distances r > 0 (n,) from the axis and heights z (n, h) over the layer's bottom [m].
-        """
-        inside = np.minimum(r, self.reach)
-        P = self.height_polynomials(z)
-        c, slopes = self.profile(inside)[..., :2], self.profile(inside, 1)[..., :2]
-        pairs = ((P, c), (self.derivatives(P), c), (P, slopes))
-        parts = [np.einsum("nhm,nmf->nfh", Q, v) for Q, v in pairs]
-        return np.concatenate(parts, axis=-2)
-
-    def mean_stress(self, r: Array, z: Array) -> Array:
-        """Mean stress [Pa], positive in tension, (n, h) at r (n,) and z (n, h)."""
-        coefficients = self.profile(np.minimum(r, self.reach))[..., 2]
-        return np.asarray(np.einsum("nhm,nm->nh", self.height_polynomials(z), coefficients))
-
-    def derivatives(self, P: Array) -> Array:
-        """Derivatives along z [1/m] of the Legendre polynomials with values P (..., m)."""
-        return np.asarray(P @ (_DERIVATIVE * (2.0 / self.thickness)))
-
-    def height_polynomials(self, z: Array) -> Array:
-        """Legendre polynomials (..., m) at heights z (...) [m]."""
-        return np.asarray(legendre.legvander(2.0 * z / self.thickness - 1.0, _DEGREE))
-
-
-@lru_cache(maxsize=16)
-def dent_powers(dent: TabulatedDent) -> Array:
-    """Piecewise cubics in r of u and w, of the powers 0 to 5 of the level each, (m, 4, 12).
-
-    From the highest power of r. Levels go from -1 to 1 over the height.
-    """
-    c = np.ascontiguousarray(dent.profile.c.transpose(1, 0, 3, 2)[:, :, :2])
-    return np.asarray((c.reshape(-1, _DEGREE + 1) @ _POWERS).reshape(len(c), 4, -1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -429,10 +356,10 @@ def _layer_coefficients(
     inside = (z > bottom - 1e-9) & (z < top + 1e-9)
     heights = 2.0 * (z[inside] - bottom) / (top - bottom) - 1.0
     along = CubicSpline(r, values[:, inside])(knots).swapaxes(0, 1)
-    degree = min(_DEGREE, len(heights) - 1)
-    fit = np.zeros((_DEGREE + 1, along[0].size))
+    degree = min(DEGREE, len(heights) - 1)
+    fit = np.zeros((DEGREE + 1, along[0].size))
     fit[: degree + 1] = legendre.legfit(heights, along.reshape(len(heights), -1), degree)
-    return fit.reshape(_DEGREE + 1, len(knots), -1).swapaxes(0, 1)
+    return fit.reshape(DEGREE + 1, len(knots), -1).swapaxes(0, 1)
 
 
 def _from_none(values: Sequence[object] | Array, first: float = 0.0) -> Array:

@@ -18,11 +18,13 @@ from eitskin.simulator.deformation.contact import (
     DentField,
     PunchedArea,
 )
+from eitskin.simulator.deformation.correction import Correction
 from eitskin.simulator.deformation.corrections import is_tabulable
-from eitskin.simulator.deformation.finite_stack import Correction, FiniteStack, require_on_stack
+from eitskin.simulator.deformation.dents import TabulatedDent
+from eitskin.simulator.deformation.finite_stack import FiniteStack, require_on_stack
 from eitskin.simulator.deformation.fitted_plan import Contact
 from eitskin.simulator.deformation.node_sums import NodeSums
-from eitskin.simulator.deformation.press_table import TabulatedDent, indenter_samples, press_table
+from eitskin.simulator.deformation.press_table import indenter_samples, press_table
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid
 from eitskin.simulator.deformation.solution_store import Problem, load_or_solve
 from eitskin.simulator.deformation.stack_mesh import stack_mesh

@@ -13,7 +13,8 @@ from eitskin.simulator.deformation.solution_store import Arrays
 
 Array = NDArray[np.float64]
 
-_TOLERANCE = 3e-4  # singular values, relative to the largest, that a table keeps
+TOLERANCE = 3e-4
+"""Singular values, relative to the largest, that a table keeps."""
 BLOCK = 16  # rows of one product
 _OF_FIELD = 4  # dimensions of the coefficients of one field
 
@@ -69,7 +70,7 @@ class SolutionTable:
         fields: ArrayLike,
         numbers: Mapping[str, ArrayLike],
         sizes: Mapping[str, ArrayLike],
-        tolerance: float = _TOLERANCE,
+        tolerance: float = TOLERANCE,
     ) -> "SolutionTable":
         """Table of coefficients (n1, n2, ..., nx, ny, nz, k) and of numbers (n1, n2, ...).
 

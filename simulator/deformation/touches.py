@@ -14,19 +14,25 @@ from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.outline import Polygon, Rectangle
 from eitskin.geometry.design.sensor import Free, Plates, SensorDesign
 from eitskin.geometry.design.surface import Surface
+from eitskin.simulator.deformation.correction import Correction
 from eitskin.simulator.deformation.corrections import (
     correction_problems,
     corrections,
     has_strip,
     rectangle_sums,
 )
-from eitskin.simulator.deformation.dents import BentPresses, ColumnField, Dents, PlacedDent
+from eitskin.simulator.deformation.dents import (
+    BentPresses,
+    ColumnField,
+    Dents,
+    PlacedDent,
+    TabulatedDent,
+)
 from eitskin.simulator.deformation.field import Field
-from eitskin.simulator.deformation.finite_stack import Correction
 from eitskin.simulator.deformation.node_sums import NodeSums
 from eitskin.simulator.deformation.outline_sides import re_entrant_distance
 from eitskin.simulator.deformation.pair_corrections import pair_corrections
-from eitskin.simulator.deformation.press_table import TabulatedDent, press_table
+from eitskin.simulator.deformation.press_table import press_table
 from eitskin.simulator.deformation.pressed_sensor import (
     DentedTouch,
     PressedSensor,

@@ -154,6 +154,11 @@ class Solid(ForceTerm):
             return np.zeros(0, dtype=np.int64)
         return np.unique(self.basis.get_dofs(facets=facets).flatten()).astype(np.int64)
 
+    def displacement_unknowns(self, nodes: Indices) -> Indices:
+        """Numbers of the displacements of nodes, node by node."""
+        numbers: Indices = (self.dim * nodes[:, None] + np.arange(self.dim)).ravel()
+        return numbers
+
     def displacement(self, x: Array) -> Array:
         """Displacements of the nodes [m], (nodes, dim)."""
         return x[: self.nodes.size].reshape(self.nodes.shape)

@@ -4,6 +4,7 @@ import numpy as np
 
 from eitskin.geometry import Polygon, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
+from eitskin.simulator.deformation.corrections import rectangle_sums
 
 THICKNESS = 0.005  # of the gel [m]
 L_SHAPE = Polygon(((0, 0), (0.1, 0), (0.1, 0.05), (0.05, 0.05), (0.05, 0.1), (0, 0.1)))
@@ -12,6 +13,19 @@ L_SHAPE = Polygon(((0, 0), (0.1, 0), (0.1, 0.05), (0.05, 0.05), (0.05, 0.1), (0,
 def design_on(outline, count=8) -> SensorDesign:
     """The reference layer on another outline."""
     return SensorDesign(outline, THICKNESS, uniform(outline, count))
+
+
+def corrected(table, *presses) -> tuple:
+    """Fields of a press (x, y, depth), or of what two change of each other, and its sinking."""
+    sums = rectangle_sums(table.design, 1, 4) if getattr(table, "strip", None) else None
+    if getattr(table, "sides", None):
+        sums = rectangle_sums(table.design, 1, 4)
+    places = (np.array([press]) for press in presses)
+    (fields,), (extra,) = table.evaluate(*places, np.zeros(1, int), sums)
+    own = fields if isinstance(fields, list) else [] if fields is None else [fields]
+    scales = np.array([1.0, 1.0, table.design.thickness, table.modulus or 1.0])
+    scales = getattr(table, "scales", scales)
+    return [*own, *(sums.fields(table.design.thickness, scales) if sums else [])], float(extra)
 
 
 def total(found, points) -> np.ndarray:

@@ -13,7 +13,8 @@ from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
 from eitskin.simulator.bends import bend_table
 from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack
 from eitskin.simulator.deformation.contact import ContactFrame, DentField
-from eitskin.simulator.deformation.finite_stack import Correction, DentedSolid, FiniteStack
+from eitskin.simulator.deformation.correction import Correction
+from eitskin.simulator.deformation.finite_stack import DentedSolid, FiniteStack
 from eitskin.simulator.deformation.fitted_plan import Contact
 from eitskin.simulator.deformation.pressed_sensor import PressedSensor
 from eitskin.simulator.deformation.stack_mesh import Fineness, StackMesh, stack_mesh

@@ -13,7 +13,7 @@ from eitskin.simulator.deformation.corrections import (
 from eitskin.simulator.deformation.field import CubicSplines, Field
 from eitskin.simulator.deformation.solution_table import Axis, SolutionTable
 
-from pressed_stacks import THICKNESS, design_on
+from pressed_stacks import THICKNESS, corrected, design_on
 
 RADIUS, HEIGHT, DEEPEST = 0.05, THICKNESS, 0.003
 OUTLINE = Disc(RADIUS)
@@ -59,7 +59,7 @@ def table() -> SolutionTable:
 def at(table, x, y, depth, height=HEIGHT):
     """Field and extra depth of a press on the disc by one table."""
     design = dataclasses.replace(DESIGN, thickness=height)
-    (field,), extra = Corrections(design, (), table, ((table, 1.0),)).correct_press(x, y, depth)
+    (field,), extra = corrected(Corrections(design, (), table, ((table, 1.0),)), (x, y, depth))
     return field, extra
 
 
@@ -112,9 +112,9 @@ def test_a_thicker_gel_has_the_field_of_a_press_as_deep_in_proportion(table) -> 
 def test_weighted_tables_add_up(table) -> None:
     field, extra = at(table, 0.07, 0.06, 0.002)
     both = Corrections(DESIGN, (), table, ((table, 1.3), (table, -0.3)))
-    parts = both.correct_press(0.07, 0.06, 0.002)
+    fields, deeper = corrected(both, (0.07, 0.06, 0.002))
     expected = values(field)
     scale = np.abs(expected).max(axis=0)  # fields are summed in single precision
-    found = sum(map(values, parts.fields))
+    found = sum(map(values, fields))
     assert found / scale == pytest.approx(expected / scale, abs=1e-6)
-    assert parts.extra_depth == pytest.approx(extra)
+    assert deeper == pytest.approx(extra)

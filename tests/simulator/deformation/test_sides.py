@@ -25,7 +25,7 @@ from eitskin.simulator.deformation.solution_table import SolutionTable
 from eitskin.simulator.deformation.stack_mesh import Fineness
 from eitskin.simulator.deformation.touches import pressed_touches
 
-from pressed_stacks import L_SHAPE, THICKNESS, design_on, places_in, total
+from pressed_stacks import L_SHAPE, THICKNESS, corrected, design_on, places_in, total
 
 DEPTH, MECHANICS, PUNCH = 0.002, Mechanics(), Cylinder()
 DESIGN, POINTS = design_on(L_SHAPE), places_in(L_SHAPE)
@@ -41,7 +41,7 @@ def table() -> SolutionTable:
 
 def correct(outline, table, x, y, depth=DEPTH):
     """Correction of a press by sums over sides."""
-    return Corrections(design_on(outline), (), table, ((table, 1.0),)).correct_press(x, y, depth)
+    return corrected(Corrections(design_on(outline), (), table, ((table, 1.0),)), (x, y, depth))
 
 
 def test_a_corner_at_which_a_side_goes_straight_on_changes_nothing(table) -> None:
