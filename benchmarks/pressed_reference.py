@@ -21,13 +21,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.world import PUBLISHED_FILE, ReferenceCase, cases
+from eitskin.benchmarks.world import PUBLISHED_FILE, Gauge, ReferenceCase, cases
 from eitskin.extras import require, require_all
 from eitskin.files import atomic_file
 from eitskin.geometry import Free, Plates, Substrate
 from eitskin.geometry.deformation.kinematics import Displaced
 from eitskin.provenance import Provenance
-from eitskin.simulator import Simulator
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.layer_stack import Stack
 from eitskin.simulator.mechanics.load_stepping import SolidError
@@ -422,22 +421,18 @@ class ReferenceStack:
 
 def solution(case: ReferenceCase) -> dict[str, Any]:
     """Solution of a case as it is written, with changes by the finest forward model."""
-    start, simulator = time.perf_counter(), Simulator(case.design, "fine")
+    start, gauge = time.perf_counter(), Gauge(case.design, "fine")
     stack = ReferenceStack(case)
     try:
         stack.solve()
     except SolidError as error:
         return {"changes": None, "refused": str(error)}
     seconds = time.perf_counter() - start
-    flat = simulator.protocol.measure(simulator.model.impedance()).real
-    pressed = simulator.simulate_deformation(
-        Displaced(np.zeros_like, stack.gradient)
-    ).impedance.real
     return {
         "depth": stack.depths.tolist(),
         "unknowns": stack.solid.unknowns,
         "seconds": round(seconds, 1),
-        "changes": (pressed / flat - 1.0).tolist(),
+        "changes": gauge.changes(Displaced(np.zeros_like, stack.gradient)).tolist(),
     }
 
 

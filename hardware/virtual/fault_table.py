@@ -11,6 +11,7 @@ electrodes and the values.
 
 import difflib
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any, NoReturn
@@ -62,10 +63,6 @@ def held_back(data: bytes, f: Fault) -> bytes:
         return held
     f.memory["held"] = held
     return b""
-
-
-def _wrong_baud(data: bytes, f: Fault) -> bytes:
-    return f.rng.randbytes(len(data) + f.rng.randrange(len(data) // 2 + 1))
 
 
 def _packets(packet: bytes) -> list[bytes]:
@@ -202,7 +199,7 @@ WIRE_FAULTS = DAMAGE_FAULTS | {
         Hook.LINE,
         "From the frame on the line runs at another speed: every byte is another, and some are "
         "two.",
-        _wrong_baud,
+        lambda data, f: f.rng.randbytes(len(data) + f.rng.randrange(len(data) // 2 + 1)),
         "seed",
     ),
 }
@@ -240,9 +237,6 @@ def _read_fault(text: str) -> Fault:
     return Fault(match[1], kind, int(match[2] or kind.frame), int(match[3] or 0))
 
 
-# ---- of the board ----
-
-
 def _negative_ack(reply: bytes, f: Fault) -> bytes:
     packets = list(Decoder().feed(reply))
     if f.since >= f.amount or [packet.type for packet in packets] != [MessageType.ACK]:
@@ -257,8 +251,17 @@ def _wrong_version(data: bytes, _: Fault) -> bytes:
     return b"".join(encode(replace(packet, version=OTHER_VERSION)) for packet in packets)
 
 
-def _pull(packet: bytes) -> NoReturn:
-    raise UnpluggedError(packet)
+def _unplug(meaning: str, sent: Callable[[bytes], bytes]) -> FaultKind:
+    """Row of a cable that is pulled after a part of the frame, and stays out."""
+
+    def pull(packet: bytes, _: Fault) -> NoReturn:
+        raise UnpluggedError(sent(packet))
+
+    effects: dict[Hook, Effect] = {
+        Hook.PACKET: pull,
+        Hook.STAYS_OUT: lambda out, f: out or f.since > 0,
+    }
+    return FaultKind(f"{meaning}, and stays so until this is cleared.", effects)
 
 
 def _replug(packet: bytes, f: Fault) -> bytes:
@@ -267,17 +270,11 @@ def _replug(packet: bytes, f: Fault) -> bytes:
     return packet
 
 
-# ---- in the values ----
-
-
 def _substitute(array: Array, where: Any, value: Any) -> Array:
     """Copy with `value` at the channels `where`."""
     changed = array.copy()
     changed[where] = value
     return changed
-
-
-# ---- of the network between the electrodes ----
 
 
 def _open_lead(z: Array, f: Fault) -> Array:
@@ -327,9 +324,6 @@ def _losing(z: Array, f: Fault) -> Array:
     return lost
 
 
-# ---- the table ----
-
-
 BOARD_FAULTS = {
     "no_reply": _reply(
         "A request is not answered.", lambda reply, f: b"" if f.since < f.amount else reply
@@ -374,16 +368,9 @@ BOARD_FAULTS = {
         default=3,
         stays=two_frames,
     ),
-    "unplug": FaultKind(
-        "The cable is pulled before the frame is sent, and stays so until this is cleared.",
-        {Hook.PACKET: lambda *_: _pull(b""), Hook.STAYS_OUT: lambda out, f: out or f.since > 0},
-    ),
-    "unplug_mid_frame": FaultKind(
-        "The cable is pulled in the middle of the frame, and stays so until this is cleared.",
-        {
-            Hook.PACKET: lambda packet, _: _pull(packet[: len(packet) // 2]),
-            Hook.STAYS_OUT: lambda out, f: out or f.since > 0,
-        },
+    "unplug": _unplug("The cable is pulled before the frame is sent", lambda _: b""),
+    "unplug_mid_frame": _unplug(
+        "The cable is pulled in the middle of the frame", lambda packet: packet[: len(packet) // 2]
     ),
     "replug": _packet(
         "The cable is pulled and put back `index` periods later, one for 0; the board restarts.",
