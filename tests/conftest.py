@@ -81,6 +81,14 @@ def kept_meshes():
 
 
 @pytest.fixture
+def reads_here(monkeypatch):
+    """Let recordings be read in the process of the test."""
+    from reads_here import read_here
+
+    monkeypatch.setattr("eitskin.datasets.recordings.source.read_in_subprocess", read_here)
+
+
+@pytest.fixture
 def connection():
     """A board that is no board, for the live page."""
     from page_fakes import FakeConnection

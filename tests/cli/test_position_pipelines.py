@@ -69,6 +69,7 @@ def test_evaluate_and_train_write_a_report(folder, tmp_path):
     assert again["report"] == report["report"]
 
 
+@pytest.mark.slow
 def test_check_compares_with_a_stored_reference_alone(folder, tmp_path):
     model, zero = folder / "mine.eitmodel", tmp_path / "zero.json"
     said = run("check", model, "--board", BOARD)

@@ -74,6 +74,7 @@ def test_reference_is_chosen(dataset):
     assert printed_json(*words, "flat") != printed_json(*words, "untouched")
 
 
+@pytest.mark.slow
 def test_order_is_tested_impossible_changes_are_cut_and_noise_is_named(tmp_path):
     """Frames in rotated order, named in given order; then one that fits no sensor; then noise."""
     design = SensorDesign(Disc(0.05), 0.005, uniform(Disc(0.05), 16))

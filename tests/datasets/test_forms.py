@@ -19,6 +19,7 @@ from eitskin.datasets.recordings.orders import in_order
 from eitskin.errors import DataError
 from eitskin.protocol import Protocol
 
+pytestmark = pytest.mark.usefixtures("reads_here")
 N = 8
 RNG = np.random.default_rng(5)
 ROOTS = RNG.normal(size=(3, N, N))

@@ -89,6 +89,7 @@ def test_the_files_are_as_the_layout_says(out, info, episodes, frames):
         assert (held == each["episode_index"]).sum() == each["length"]
 
 
+@pytest.mark.slow
 def test_each_frame_is_the_datasets_own(saved, episodes, frames):
     data = open_dataset(saved)
     for each in episodes.itertuples():

@@ -16,6 +16,7 @@ from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import ForwardModel, Protocol, Status
 
+pytestmark = pytest.mark.usefixtures("reads_here")
 PRESSED = np.arange(12.0).reshape(4, 3) + 100.0
 UNTOUCHED = PRESSED - 1.0
 X, Y = np.array([0.02, 0.05, 0.08, 0.11]), np.array([0.01, 0.02, 0.03, 0.04])

@@ -91,6 +91,7 @@ def test_csv_with_everything(tmp_path):
         ("a.npz", "numpy? no\n", r"\.npz"),
     ],
 )
+@pytest.mark.usefixtures("reads_here")
 def test_broken_files_are_refused(tmp_path, name, text, message):
     with pytest.raises(DataError, match=message):
         read_recording(write(tmp_path, name, text))
@@ -113,6 +114,7 @@ OBJECTS = np.array([{"a": 1}], dtype=object)  # pickled, so never loaded
         ({"v": PRESSED, "p": PRESSED[:, :2]}, ("v", None, "p"), DataError, r"positions.*metres"),
     ],
 )
+@pytest.mark.usefixtures("reads_here")
 def test_tables_that_do_not_fit_are_refused(tmp_path, tables, names, error, message):
     np.savez(tmp_path / "a.npz", **tables)
     with pytest.raises(error, match=message):

@@ -56,6 +56,7 @@ def test_gradient_is_the_derivative_of_positions_and_keeps_volume(bent) -> None:
     assert np.sqrt(np.mean((J - 1.0) ** 2)) < 0.005
 
 
+@pytest.mark.slow
 def test_plates_turn_what_they_hold_by_half_the_angle_about_the_axis(bent) -> None:
     half = math.radians(10.0)
     X = np.array([[0.096, 0.0, z] for z in (-0.0035, 0.0085)] + [[0.15, 0.06, 0.0085]])

@@ -128,6 +128,7 @@ def unsolved(monkeypatch) -> list[BentStack | None]:
     return asked
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unsolved")
 def test_the_bent_layer_is_the_bend_away_from_touches(bent_sensor) -> None:
     sim, scene = bent_sensor

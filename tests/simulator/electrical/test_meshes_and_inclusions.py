@@ -161,7 +161,7 @@ def closed_form(part: float, contrast: float) -> np.ndarray:
     return potential[c - a] - potential[c - b] - potential[e - a] + potential[e - b]
 
 
-@pytest.mark.parametrize("contrast", [2.0, 100.0])
+@pytest.mark.parametrize("contrast", [2.0, pytest.param(100.0, marks=pytest.mark.slow)])
 def test_a_disc_in_a_disc_has_the_signal_of_the_closed_form(contrast) -> None:
     found = []
     for inside in (contrast, 1.0):

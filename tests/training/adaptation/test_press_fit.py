@@ -80,6 +80,7 @@ def test_few_presses_are_explained_in_several_ways():
     assert learn_places(LabelledPresses(*toy_presses(9))).locator.others == ()
 
 
+@pytest.mark.slow
 def test_what_cannot_be_learned_is_refused(learned):
     ratio, places, _ = toy_presses()
     with pytest.raises(DataError, match="at least 5"):

@@ -65,6 +65,7 @@ def test_a_press_has_a_position_and_nothing_else(learned):
     assert learned.process(frame(FLAT, 6)).touches == ()
 
 
+@pytest.mark.slow
 def test_bad_channels_are_left_out_and_other_frames_refused(learned):
     learned.process(frame(FLAT, 0))
     values = pressed(PRESS)

@@ -177,6 +177,7 @@ def test_known_clamps_teach_those_between_them():
     assert error[True] < 0.87 * error[False]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tightness", "kept"), [(0.7, True), (0.0, False)])
 def test_networks_are_kept_where_they_tell_more_than_the_curves(tightness, kept):
     data = frames(120, 1, tightness)

@@ -166,6 +166,7 @@ def made_up(rng, count, frames, covariance, features=None):
     return made_up_frames(change, angle, specimen, NOISE, features=p[specimen])[order]
 
 
+@pytest.mark.slow
 def test_mixed_model_finds_covariance_and_mean(rng):
     """Random effects of 400 specimens from sixteen frames each."""
     true = own_covariance(rng)

@@ -98,6 +98,7 @@ def test_no_group_is_found_where_none_is(alike, various):
 # Two hypotheses of one frame
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("alike", [True, False])
 def test_a_bent_frame_tells_whether_its_sensor_bends_as_usual(everywhere, usual, alike):
     unseen = frames(1, 0, seed=7) if alike else frames(0, 1, seed=8)

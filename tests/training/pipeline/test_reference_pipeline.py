@@ -105,6 +105,7 @@ def test_a_contact_that_rises_a_little_is_no_bend(session, simulator, electrode)
     assert abs(said.bend_angle_deg) < 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gain", [0.998, 1.03, np.exp(0.07j)])
 def test_a_step_of_the_boards_gain_or_phase_is_taken_back(session, simulator, gain):
     """Of a flat, a touched and a bent sensor: said once, and no estimate changes."""
@@ -125,6 +126,7 @@ def test_a_step_of_the_boards_gain_or_phase_is_taken_back(session, simulator, ga
         assert [bool(each.problems) for each in said] == [False, False, True, False, False]
 
 
+@pytest.mark.slow
 def test_a_loud_board_hides_no_touch_in_its_references(simulator):
     """Three times the noise of training: frames are still, and a touch stays one for long."""
     session, loud = Session(simulator), Instrument(snr_db=65.5)
@@ -142,6 +144,7 @@ def test_a_loud_board_hides_no_touch_in_its_references(simulator):
     assert {session(Scene()).state for _ in range(3)} == {State.IDLE}
 
 
+@pytest.mark.slow
 def test_a_faint_touch_is_told_by_its_frames_together(simulator):
     """Too faint for one frame; the references take in none of it."""
     session, loud = Session(simulator), Instrument(snr_db=66.0)
@@ -184,6 +187,7 @@ def test_it_tells_angles_of_another_clamp_and_how_surely():
     assert ratios[0] < min(1.5, 0.5 * ratios[1])
 
 
+@pytest.mark.slow
 def test_a_sensor_with_contacts_like_no_other_is_adapted_to_and_then_taken_for_its_own():
     """Refused as trained; five angles make the pipeline its own, sessions included."""
     factors = np.exp([-1.0, 1.8, -1.0, -1.0, -1.0, 1.8, -1.0, 1.8])

@@ -81,7 +81,9 @@ def test_wrong_frames_are_refused(greit):
         greit.images(np.ones(10))
 
 
-@pytest.mark.parametrize("method", ["total-variation", "greit"])
+@pytest.mark.parametrize(
+    "method", [pytest.param("total-variation", marks=pytest.mark.slow), "greit"]
+)
 def test_regions_are_found_by_their_sign_place_and_size(method):
     """None of the other sign where there is none."""
     maker = made(method)
