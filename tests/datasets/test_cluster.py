@@ -1,6 +1,8 @@
 """Shards made by dask workers and by single calls: the same bytes, however they come about."""
 
 import threading
+from dataclasses import replace
+from unittest.mock import Mock
 
 import pytest
 
@@ -8,6 +10,7 @@ from eitskin.datasets import Recipe, generate
 from eitskin.datasets.generation import generate as generation
 from eitskin.datasets.recipe.recipe import with_seed
 from eitskin.datasets.recipe.scene_group import SceneGroup
+from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.datasets.store import worker_processes
 from eitskin.datasets.store.shard import shard_name
 from eitskin.errors import ConfigurationError, PartialError
@@ -121,3 +124,11 @@ def test_single_shards_made_at_the_same_time_complete_the_set(whole, tmp_path, m
         generate(with_seed(RECIPE, 4), folder, shard=1)
     generate(RECIPE, folder, resume=True)
     assert contents(folder) == whole
+
+
+def test_a_shard_needs_the_tables_of_its_own_specimens_alone(tmp_path, monkeypatch):
+    prepared = Mock(side_effect=KeyboardInterrupt)
+    monkeypatch.setattr(generation, "prepare", prepared)
+    with pytest.raises(KeyboardInterrupt):
+        generate(replace(RECIPE, specimens=Specimens(24)), tmp_path / "set", shard=1)
+    assert len(prepared.call_args.kwargs["specimens"]) <= RECIPE.frames_per_shard

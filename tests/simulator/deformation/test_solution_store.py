@@ -77,6 +77,15 @@ def test_when_the_one_that_solves_is_killed_another_solves(ask) -> None:
     assert said(second, 1) == ["2.0"]
 
 
+def test_another_waits_for_the_one_that_solves_and_takes_its_solution(ask) -> None:
+    first = ask(1)
+    assert said(first, 2) == ["looked", "solving"]
+    second = ask(2)
+    go_on(first)
+    assert said(first, 1) == ["1.0"]
+    assert said(second, 2) == ["looked", "1.0"]
+
+
 def problem(values, **description) -> Problem:
     return Problem("kept", description, lambda _: {"x": np.asarray(values)})
 

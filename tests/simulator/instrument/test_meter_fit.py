@@ -49,7 +49,7 @@ def test_loads_of_a_board_of_magnitudes_are_found_with_their_errors(skin):
     assert found.meter.reads == "magnitude"
     true = np.array([3e-3, 8e-4, 5e-4])
     assert (np.abs(found.values - true) < 4.0 * found.standard_errors).all()
-    assert (found.standard_errors < 0.05 * true).all()
+    assert (found.standard_errors < 0.02 * true).all()
     assert found.meter.scale == pytest.approx(12.0, abs=4.0 * 12.0 * found.scale_error)
     assert not found.tied
     ideal = fit_meter(skin, BOTH, flat_frames(RIG, skin), ())

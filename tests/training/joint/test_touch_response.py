@@ -54,6 +54,9 @@ def test_response_is_that_of_the_plain_formula(learned, touches, layers):
     np.testing.assert_allclose(one(touches, 33.0), expected, rtol=0, atol=1e-12 * size)
     said = one.with_derivatives(touches, 33.0)
     np.testing.assert_allclose(said[0], expected, rtol=0, atol=1e-12 * size)
+    for by, step in zip(said[1:], 1e-6 * np.eye(3), strict=True):
+        rise = one(touches + step, 33.0) - one(touches - step, 33.0)
+        np.testing.assert_allclose(by, rise / 2e-6, rtol=0, atol=1e-5 * np.abs(by).max())
 
 
 # Learning
