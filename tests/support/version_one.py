@@ -27,7 +27,7 @@ def as_version_one(path: Path, data: Dataset) -> None:
     """Turn the shard of `data` into one of version 1."""
     with h5py.File(path, "r+") as file:
         file.attrs["format_version"] = 1
-        del file["specimen_number"]
+        del file["specimen_number"], file["number"]
         file["specimen"][...] = data.specimen
         options = {"chunks": data.reference.shape, "compression": "gzip"}
         del file["reference"]

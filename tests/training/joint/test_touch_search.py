@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from one_frame import explained, frame, residual
+from one_frame import TOUCHES, explained, frame, residual
 from scipy.stats import multivariate_normal
 
 from eitskin.training.joint.channel_faults import FAULT_PRICE, FAULT_SIZE, possible_faults
@@ -51,6 +51,13 @@ def candidates():
     force = RANGES.middle_force
     touches = np.column_stack([places(), np.full(len(places()), force)])
     return TouchCandidates(places(), force, ONE(touches, 10.0))
+
+
+def test_steps_that_fail_become_shorter_until_the_fit_is_found():
+    whole = frame(TOUCHES[3], 20.0, 12.0, np.random.default_rng(1))
+    near = np.array([[0.050, 0.030, 6.0], [0.062, 0.036, 11.0], [0.055, 0.020, 8.0]])
+    start = whole.linearise(Unknowns(near, -10.0))
+    assert levenberg_marquardt(whole, start, 20, 1e-6, whole.whitening(start)).misfit < 28.0
 
 
 def test_best_pairs_are_those_of_a_loop_over_all(objective, candidates):
