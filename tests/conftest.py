@@ -2,6 +2,7 @@
 
 import gc
 import os
+import warnings
 from collections import Counter, deque
 from pathlib import Path
 
@@ -82,10 +83,15 @@ def kept_meshes():
 
 @pytest.fixture
 def reads_here(monkeypatch):
-    """Let recordings be read in the process of the test."""
-    from reads_here import read_here
+    """Let recordings be read in the process of the test, without the half second of another's."""
+    from eitskin.datasets.recordings import source
 
-    monkeypatch.setattr("eitskin.datasets.recordings.source.read_in_subprocess", read_here)
+    def here(_, argument, content, __):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of libraries, as there
+            yield from source.read_source(argument, content)
+
+    monkeypatch.setattr(source, "read_in_subprocess", here)
 
 
 @pytest.fixture

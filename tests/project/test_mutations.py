@@ -1,5 +1,7 @@
 """The list of mutations fits the tree; `make mutations` tries them, which takes minutes."""
 
+import re
+
 import pytest
 
 from mutations.run import ROOT, Mutation, listed
@@ -19,7 +21,9 @@ def test_each_can_be_applied_and_tested():
         assert applied != (ROOT / mutation.file).read_text(encoding="utf-8"), mutation.what
         compile(applied, mutation.file, "exec")
         for test in mutation.tests:
-            assert (ROOT / "tests" / test.partition("::")[0]).is_file(), mutation.what
+            file, *names = test.split("::")
+            text = (ROOT / "tests" / file).read_text(encoding="utf-8")
+            assert all(re.search(rf"(def|class) {name}\b", text) for name in names), mutation.what
 
 
 def test_text_that_is_gone_is_an_error():
