@@ -94,6 +94,14 @@ def reads_here(monkeypatch):
     monkeypatch.setattr(source, "read_in_subprocess", here)
 
 
+@pytest.fixture(scope="module")
+def pipeline():
+    """The reference pipeline that ships."""
+    from eitskin.training import Pipeline
+
+    return Pipeline.load("reference.eitmodel")
+
+
 @pytest.fixture
 def connection():
     """A board that is no board, for the live page."""

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from command_line import printed_json
 
-from eitskin.benchmarks.results import read_results
 from eitskin.benchmarks.world import (
     KINEMATIC,
     SOLVED_MODEL,
@@ -48,12 +47,9 @@ def test_errors_of_bent_presses_are_of_what_the_presses_change():
 
 @pytest.mark.slow
 def test_a_quick_run_compares_a_press_and_a_bend(tmp_path):
-    data = printed_json("bench", "world", "--quick", "--out", tmp_path, "--seed", "3")
+    data = printed_json("bench", "world", "--quick", "--out", tmp_path)
     found = {(row["case"], row["model"]): row["error"] for row in data["rows"]}
     for case, limit in (("75_30", 0.04), ("independent_bend_20", 0.005)):
         assert found[case, TABLE_MODEL] < limit
         assert found[case, KINEMATIC] > 0.5
-    results = read_results(tmp_path / "world" / "results.json")
-    assert results.quick
-    assert results.provenance.seed == 3
     assert (tmp_path / "world" / "world.png").stat().st_size > 10_000

@@ -22,11 +22,6 @@ GAIN = 1.1  # by which the sensor of the test answers bends more than the usual 
 
 
 @pytest.fixture(scope="module")
-def pipeline():
-    return Pipeline.load("reference.eitmodel")
-
-
-@pytest.fixture(scope="module")
 def bends(pipeline):
     """Untouched frames of one sensor at known angles."""
     rng, known = np.random.default_rng(0), pipeline.flat_sensors

@@ -10,14 +10,8 @@ from typer.testing import CliRunner
 from eitskin.cli.main import app
 from eitskin.frame import Frame
 from eitskin.hardware import run_live
-from eitskin.training import Pipeline
 
 from live_fakes import FakeBoard
-
-
-@pytest.fixture(scope="module")
-def pipeline():
-    return Pipeline.load("reference.eitmodel")
 
 
 @pytest.mark.slow

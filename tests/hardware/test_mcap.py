@@ -17,7 +17,7 @@ from eitskin.hardware import Reading
 from eitskin.hardware.ros2.mcap import GAP, McapWriter, Stamps
 from eitskin.hardware.ros2.messages import NAME, TOUCH_FIELDS, RosMessages
 from eitskin.simulator import Frame, Protocol, Status
-from eitskin.training import Estimate, FoundTouches, Pipeline
+from eitskin.training import Estimate, FoundTouches
 
 from small_dataset import make
 
@@ -218,11 +218,6 @@ def test_a_file_has_its_name_when_it_is_whole_and_nothing_is_replaced(tmp_path) 
 
 
 # The command
-
-
-@pytest.fixture(scope="module")
-def pipeline():
-    return Pipeline.load("reference.eitmodel")
 
 
 @pytest.fixture

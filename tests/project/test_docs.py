@@ -1,4 +1,4 @@
-"""What the pages say can be followed: links lead somewhere, code is code, commands exist."""
+"""What the pages say: links lead somewhere, code is code, commands exist, citations agree."""
 
 import importlib.util
 import pkgutil
@@ -9,17 +9,22 @@ import textwrap
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 import typer
+import yaml
 
+import eitskin
 from eitskin.cli.help import command_examples
 from eitskin.cli.main import app
 from eitskin.config import parse_toml
-from eitskin.datasets import Recipe
+from eitskin.datasets import Dataset, Recipe, State
+from eitskin.datasets.export.export import PAPER, card
 from eitskin.geometry import Clamp, FreeArc, Hinge, SensorDesign
 from eitskin.simulator import Mechanics, Scene
 
 ROOT = Path(__file__).resolve().parents[2]
+CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text())
 PAGES = sorted(
     [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "hardware").rglob("*.md")]
 )
@@ -171,3 +176,35 @@ def test_pages_made_from_the_code_are_up_to_date():
     pages = runpy.run_path(str(DOCS / "site" / "reference.py"))["PAGES"]
     for name, page in pages.items():
         assert (DOCS / "reference" / name).read_text() == page(), "run `make pages`"
+
+
+@pytest.mark.slow
+def test_the_example_in_the_readme_finds_the_touch_that_it_simulates(capsys) -> None:
+    page = (ROOT / "README.md").read_text()
+    (example,) = re.findall(r"```python\n(.*?)```\n", page, re.DOTALL)
+    scope: dict[str, object] = {}
+    exec(compile(example, "README.md", "exec"), scope)  # noqa: S102
+    estimate, scene = scope["estimate"], scope["scene"]
+    (touch,) = scene.touches
+    assert estimate.state is State.TOUCH
+    assert estimate.bend_angle_deg == pytest.approx(scene.bend.angle_deg, abs=1.0)
+    (found,) = estimate.touches
+    assert found[:2] == pytest.approx((touch.x, touch.y), abs=3e-3)
+    shown = capsys.readouterr().out
+    assert f"```text\n{shown}```" in page, "the page shows what the example prints"
+
+
+def test_version_and_licence_are_those_of_the_package() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert CITATION["version"] == eitskin.__version__
+    assert CITATION["license"] == project["license"]
+
+
+def test_cards_cite_the_same_software_and_paper() -> None:
+    (paper,) = CITATION["references"]
+    assert paper["title"] in PAPER
+    assert paper["journal"] in PAPER
+    assert paper["doi"] in PAPER
+    assert all(each["family-names"] in PAPER for each in paper["authors"])
+    data = Dataset.from_arrays(np.ones((1, 1)))
+    assert CITATION["title"] in card("set", "mit", {"train": (1, 1)}, data, ())

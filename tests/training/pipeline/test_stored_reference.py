@@ -10,7 +10,7 @@ from eitskin.datasets import State
 from eitskin.errors import ConfigurationError, DataError, FrameError
 from eitskin.geometry import Bend, SensorDesign
 from eitskin.simulator import Frame, Protocol, Scene, Simulator, Touch
-from eitskin.training import Pipeline, StoredReference, Zero
+from eitskin.training import StoredReference, Zero
 from eitskin.training.pipeline.references import FORMAT_VERSION
 
 NOISE = 1e-4
@@ -18,15 +18,10 @@ PROTOCOL = Protocol.pairwise(8)
 PRESS = (Touch(0.05, 0.02, force=9.0),)
 
 
-@pytest.fixture(scope="module")
-def shipped():
-    return Pipeline.load("reference.eitmodel")
-
-
 @pytest.fixture
-def pipeline(shipped):
-    shipped.use(None)
-    return shipped
+def pipeline(pipeline):
+    pipeline.use(None)
+    return pipeline
 
 
 @pytest.fixture(scope="module")

@@ -1,11 +1,15 @@
-"""Plane outlines: arc length, inside and outside."""
+"""Plane outlines: arc length, inside and outside; bodies from surface files."""
 
 import math
 
 import numpy as np
 import pytest
 
-from eitskin.geometry import Disc, Polygon, Rectangle
+from eitskin.geometry import Disc, Polygon, Rectangle, Surface
+
+from on_demand import OnDemand
+
+trimesh = OnDemand("trimesh")
 
 L_SHAPE = Polygon(((0, 0), (0.09, 0), (0.09, 0.03), (0.04, 0.03), (0.04, 0.06), (0, 0.06)))
 TRIANGLE = Polygon(((0.02, 0.0), (0.06, 0.03), (0.0, 0.04)))
@@ -68,3 +72,44 @@ def test_margin_is_the_distance_from_the_rim_and_the_inside_has_greens_area(outl
     assert 10 < expected.sum() < 1900
     assert (outline.contains(points, margin) == expected)[clear].all()
     assert outline.contains(rim).all()
+
+
+def surface(mesh, path, scale=1.0):
+    mesh.export(path)
+    return Surface(path, scale)
+
+
+def volume(body):
+    points, faces = body.triangles()
+    return np.linalg.det(points[faces]).sum() / 6
+
+
+@pytest.mark.parametrize("ending", ["stl", "obj", "ply", "off"])
+def test_extents_and_volume_are_in_metres(tmp_path, ending):
+    bounds = np.array([[1, 2, 3], [21, 12, 9]])
+    body = surface(trimesh.creation.box(bounds=bounds), tmp_path / f"box.{ending}", 1e-3)
+    assert (body.length, body.width, body.height) == pytest.approx((0.02, 0.01, 0.006))
+    assert body.bounds == pytest.approx(bounds * 1e-3)
+    assert volume(body) == pytest.approx(0.02 * 0.01 * 0.006, rel=1e-6)
+
+
+def test_nearest_place_and_normal_on_a_box(tmp_path):
+    body = surface(trimesh.creation.box(extents=[2, 2, 2]), tmp_path / "box.stl")
+    for given, place, normal in (
+        ((0.3, 0.2, 5.0), (0.3, 0.2, 1.0), (0, 0, 1)),
+        ((0.3, 0.2, 0.9), (0.3, 0.2, 1.0), (0, 0, 1)),
+        ((-1.5, 0.2, 0.1), (-1.0, 0.2, 0.1), (-1, 0, 0)),
+    ):
+        found = body.nearest(np.array(given))
+        assert found[0] == pytest.approx(np.array(place))
+        assert found[1] == pytest.approx(np.array(normal))
+    assert body.nearest(np.array([3.0, 4.0, 5.0]))[0] == pytest.approx(np.ones(3))
+
+
+def test_a_cavity_is_part_of_the_body_and_a_changed_file_is_read_again(tmp_path):
+    box, hole = trimesh.creation.box(extents=[1, 1, 1]), trimesh.creation.icosphere(radius=0.3)
+    body = surface(box, tmp_path / "box.stl")
+    assert volume(body) == pytest.approx(1.0, rel=1e-6)
+    hole.invert()
+    surface(trimesh.util.concatenate([box, hole]), tmp_path / "box.stl")
+    assert volume(body) == pytest.approx(1.0 + hole.volume, rel=1e-5)
