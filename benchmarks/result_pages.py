@@ -11,6 +11,7 @@ import sys
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 from eitskin.benchmarks.leaderboard import (
     TRACKS,
@@ -30,10 +31,16 @@ def full_results(folder: Path = PUBLISHED_FOLDER) -> dict[str, Results]:
     return {result.name: result for result in found_results(folder) if not result.quick}
 
 
-def result_section(results: Results, title: str, about: str = "", shown: str = ".*") -> str:
+def result_section(
+    results: Results,
+    title: str,
+    about: str = "",
+    shown: str = ".*",
+    names: Mapping[str, str] = MappingProxyType({}),
+) -> str:
     """Markdown of the figures of a benchmark, in tables of rows with the same columns.
 
-    `about` explains them. `shown` is the pattern of the figures to show, as "ROW | COLUMN".
+    `about` explains them; `shown` is a pattern of "ROW | COLUMN"; `names` has words for both.
     """
     provenance = results.provenance
     lines = [
@@ -43,9 +50,11 @@ def result_section(results: Results, title: str, about: str = "", shown: str = "
         f"eitskin {provenance.packages.get('eitskin', '')}, {provenance.date[:10]}.".strip(),
     ]
     for columns, rows in _tables(results.figures, re.compile(shown)):
-        lines += ["", "| | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
+        heads = " | ".join(names.get(column, column) for column in columns)
+        lines += ["", f"| | {heads} |", "|---" * (len(columns) + 1) + "|"]
         for row, cells in rows.items():
-            lines.append("| " + " | ".join((row, *(cells.get(c, "") for c in columns))) + " |")
+            texts = (names.get(row, row), *(cells.get(column, "") for column in columns))
+            lines.append(f"| {' | '.join(texts)} |")
     return "\n".join(lines) + "\n"
 
 

@@ -43,6 +43,7 @@ myst_heading_anchors = 4
 highlight_language = "text"
 suppress_warnings = ["misc.highlighting_failure"]  # examples with "..." in them
 nitpicky = False
+smartquotes = False  # options keep their two dashes
 
 html_theme = "furo"
 html_title = "eitskin"
