@@ -63,7 +63,7 @@ class Simulator:
         fixture: fixture that bends the sensor.
         protocol: drive and sense pairs of the measurements.
         mechanics: materials of gel and encapsulation.
-        touch_model: "tabulated" or "solved", the way to the corrections of presses; None chooses.
+        touch_model: "tabulated" or "solved", the way to the corrections of touches; None chooses.
 
     Example:
         >>> from eitskin import Bend, Scene, SensorDesign, Simulator
@@ -144,7 +144,7 @@ class Simulator:
     def deformation(self, scene: Scene) -> Deformation | None:
         """Deformation by the scene, touches first, then roll, bend and twist; None where flat.
 
-        A sensor that is bent by the plates it rests on is pressed in its bent state.
+        A sensor that is bent by the plates it rests on is touched in its bent state.
         """
         return self.deformed_layer(scene).deformation
 

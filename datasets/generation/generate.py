@@ -64,7 +64,7 @@ def generate(
         progress: called with the number of finished frames and of all frames.
         resume: keep the finished shards in `out` and simulate the others.
             Half-written files of killed writers are removed.
-        scheduler: address of a dask.distributed scheduler, for its workers in place of processes.
+        scheduler: address of a dask.distributed scheduler, for its workers instead of processes.
         shard: number of the only shard to simulate. Any number of such calls may share a folder at
             the same time, and leave the half-written files of others alone; a call that finds all
             shards finished writes the manifest.

@@ -62,7 +62,7 @@ class Recipe:
         instrument: errors and noise of the board; each specimen has one board and one session.
             Boards differ by `board_loads` of `specimens`.
         specimens: number of sensors and standard deviations between them.
-        mounts: clamps and stiffnesses that specimens have in turn, in place of `fixture`.
+        mounts: clamps and stiffnesses that specimens have in turn, instead of `fixture`.
         reference_frames: number of noisy untouched frames averaged for a `touch_reference`.
 
     Example:
@@ -177,7 +177,7 @@ class Recipe:
 
     @property
     def extreme_angles(self) -> tuple[float, float]:
-        """Least and largest bend of any frame [deg]; zeros without bends."""
+        """Minimum and maximum bend of any frame [deg]; zeros without bends."""
         angles = [angle for group in self.scenes for angle in group.angle_deg]
         angles += [angle for episode in self.episodes for angle in episode.angles_deg]
         return min([*angles, 0.0]), max([*angles, 0.0])

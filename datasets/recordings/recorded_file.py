@@ -54,15 +54,15 @@ class RecordingNames:
 
     Attributes:
         values: measured values, frames by channels; "v" for files of columns, or two parts
-            found by the names of columns, and "magnitudes" for OpenEIT when omitted.
+            detected by the names of columns, and "magnitudes" for OpenEIT when omitted.
         touch_reference: values of the same sensor untouched, frames by channels; none when omitted.
         positions: touch positions, frames by (x, y, ...) [m]; further columns are ignored. The
             columns x and y when omitted.
-        columns: place of a label that stands under another name, by label: NAME, NAME:COLUMN of a
+        columns: position of a label that has another name, by label: NAME, NAME:COLUMN of a
             matrix counted from 0, NAME*FACTOR for another unit, or a number for all touches.
         patterns: drive and sense patterns, electrodes by patterns, instead of a protocol.
         sheet: sheet of an Excel file; the first one when omitted.
-        header_row: row with the names of the columns, from 1; found where omitted.
+        header_row: row with the names of the columns, from 1; detected where omitted.
 
     Example:
         >>> from eitskin.datasets import RecordingNames
@@ -84,9 +84,9 @@ class RecordingForm:
     """Arrangement of a recording's rows and units of its numbers.
 
     Attributes:
-        rows: whether each row of the values is a frame, or rows before and during a press
+        rows: whether each row of the values is a frame, or rows before and during a touch
             alternate.
-        keep_before: readings before a press are frames of the untouched sensor, too.
+        keep_before: readings before a touch are frames of the untouched sensor, too.
         transpose: the values have frames along their second axis.
         length_unit: length unit of positions, depths and radii.
         origin: origin of the positions on the design: "corner", "centre" or "X,Y" [m].

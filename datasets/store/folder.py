@@ -43,7 +43,7 @@ def open_dataset(path: str | Path, progress: Progress | None = None) -> Dataset:
 
     Files of up to `READ_AT_ONCE` bytes together are read into memory. A larger dataset is a
     `StoredDataset`: only its manifest and first shard are read now, and columns when they are first
-    used. Damage of another shard is found when that shard is read.
+    used. Damage of another shard is seen when it is read.
 
     Args:
         path: folder of a dataset, or a single shard.

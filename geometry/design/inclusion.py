@@ -84,7 +84,7 @@ class Inclusion:
 
     @property
     def origin(self) -> Array:
-        """Least x and y of the meshed outline, (2,) [m]."""
+        """Minimum x and y of the meshed outline, (2,) [m]."""
         return np.array([self.x, self.y]) - 0.5 * np.array(
             [self.mesh_outline.length, self.mesh_outline.width]
         )

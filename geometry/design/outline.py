@@ -175,7 +175,7 @@ class Rectangle(_PolygonalOutline):
 class Polygon(_PolygonalOutline):
     """Polygonal outline through at least three points (x, y) [m]; the last joins the first.
 
-    The least x and the least y must be 0. Clockwise points are reversed, the first point staying
+    The minimum x and y must be 0. Clockwise points are reversed, the first point staying
     the first: arc length runs counter-clockwise from there.
 
     Example:

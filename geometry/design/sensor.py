@@ -74,7 +74,7 @@ class Plates:
         require_length("support span", self.span)
 
     def gap(self, outline: Outline) -> tuple[float, float]:
-        """Least and greatest x of the free part of the bottom face [m]."""
+        """Minimum and maximum x of the free part of the bottom face [m]."""
         middle = 0.5 * outline.length
         return middle - 0.5 * self.span, middle + 0.5 * self.span
 

@@ -62,7 +62,7 @@ class Surface:
 
     @property
     def bounds(self) -> Array:
-        """Least and greatest x, y, z, (2, 3) [m]."""
+        """Minimum and maximum x, y, z, (2, 3) [m]."""
         points, _ = self.triangles()
         return np.stack([points.min(axis=0), points.max(axis=0)])
 

@@ -222,7 +222,7 @@ class ReadingCheck:
 def check_readings(
     impedance: ArrayLike, protocol: Protocol, status: NDArray[np.uint8] | None = None
 ) -> ReadingCheck:
-    """Findings that need no model of the sensor, which may be bent, pressed and of any shape.
+    """Findings that need no model of the sensor, which may be bent, touched and of any shape.
 
     Args:
         impedance: readings, (frames, measurements), of any unit and of one sensor.

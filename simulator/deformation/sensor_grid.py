@@ -38,7 +38,7 @@ class SensorGrid:
     """Nominal values about which sensors are solved; a sensor's own where they are None.
 
     Attributes:
-        thickness: thickness of the gel, for presses and bends [m].
+        thickness: thickness of the gel, for touches and bends [m].
         ratio: shear modulus of the encapsulation over the gel's, for bends.
         span, offset: span and offset of the clamp [m].
 

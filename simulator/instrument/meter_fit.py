@@ -126,7 +126,7 @@ def fit_meter(
     """Meter that explains frames of the flat, untouched sensor, by nonlinear least squares.
 
     The scale is a linear parameter and is eliminated (variable projection, Golub and Pereyra 1973).
-    The loads found are relative to the sensor's: a sensor of twice the conductivity with twice the
+    Fitted loads are relative to the sensor's: a sensor of twice the conductivity with twice the
     loads gives the same frames at half the scale.
 
     Args:

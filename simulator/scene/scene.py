@@ -29,14 +29,14 @@ _SPAN_TOLERANCE = 1e-9  # difference of spans that count as equal [m]
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """Press at (x, y) of the flat sensor, with a force or to a depth.
+    """Touch at (x, y) of the flat sensor, with a force or to a depth.
 
     Attributes:
         x, y: centre of the indenter [m].
         force: normal force [N]; not used where a depth is given.
         indenter: shape of the indenter.
         depth: depth of the indenter's tip below the undeformed top, instead of a force [m].
-        held: duration of the press until now or until its release [s]. When omitted the press is in
+        held: duration of the touch until now or until its release [s]. When omitted the touch is in
             its first moment, and nothing relaxes.
         released: time since the indenter was taken off [s]; only a fading dent is left.
 

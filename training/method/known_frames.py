@@ -25,7 +25,7 @@ SIDE_MARGIN = 0.001  # m, by which a place may be reported next to the sensor
 
 @dataclass(frozen=True, slots=True)
 class TouchLabel:
-    """Known place of a touch, and its force where that is known, too.
+    """Known position of a touch, and its force if that is known.
 
     Attributes:
         x, y: centre of the indenter, in coordinates of the flat sensor [m].
@@ -95,7 +95,7 @@ class TwinPresses(Interface):
         """
 
     def inside(self, places: Array) -> Mask:
-        """Whether places (n, 2) [m] are on the sensor (n,)."""
+        """Whether positions (n, 2) [m] are on the sensor (n,)."""
 
 
 def held_numbers(seen: Array) -> NDArray[np.intp]:

@@ -77,7 +77,7 @@ class FoundTouches:
     """The k touches of one frame, strongest first.
 
     Attributes:
-        place: x and y in coordinates of the flat sensor (k, 2) [m].
+        place: position x and y in coordinates of the flat sensor (k, 2) [m].
         strength: confidence or relative strength, 0 to 1, (k,).
         force: (k,) [N]; NaN where the method does not estimate it.
         deviation: standard error of the position, sqrt(var x + var y), (k,) [m]; NaN where the
@@ -192,7 +192,7 @@ class Predictions:
             spec: sensor, whose outline and pixels the map has.
             probabilities: probabilities of the three states (n, 3).
             bend_angle_deg: (n,) [deg].
-            places: x and y of up to N touches (n, N, 2) [m]; NaN where there are fewer.
+            places: positions x and y of up to N touches (n, N, 2) [m]; NaN where fewer.
             strength: 0 to 1, (n, N); 1 when omitted.
             force: (n, N) [N].
             radius: radius of the discs in the map [m].

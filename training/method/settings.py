@@ -147,10 +147,10 @@ class TrainingSettings:
         joint: joint of the joint method.
         classifier: classifier of the paper's classifier of states.
         postprocessor: postprocessor of the paper's touch map network.
-        bend_free_map: whether the classifier also sees a map that is insensitive to bending.
-        compressed_maps: whether the classifier sees asinh of maps instead of standardised maps.
+        bend_free_map: whether the classifier also uses a map that is insensitive to bending.
+        compressed_maps: whether the classifier uses asinh of maps instead of standardised maps.
         bend_squares: whether the regression of the angle may also select squares of dV.
-        weighted: whether pictures weigh each channel by its own noise, in place of one for all.
+        weighted: whether images weigh each channel by its own noise, instead of one for all.
         mirrored: whether the touch map is also learned from mirror images of a symmetric sensor.
         seed: seed of the split, the initial weights, the order of frames and added noise.
         whole_specimens: whether a fifth of the specimens is held out, at least one, in place of
@@ -224,8 +224,8 @@ class TrainingSettings:
         """Settings by name: "joint", "quick", "paper", or one of `BASELINES`.
 
         "paper" follows the paper in every stage; `PaperMethod` lists its open choices. "quick" has
-        the same stages, trained faster: pictures weigh each channel by its noise, the classifier
-        also sees a map insensitive to bending, both compressed, the angle may be quadratic in dV,
+        the same stages, trained faster: images weigh each channel by its noise, the classifier
+        also uses a map insensitive to bending, both compressed, the angle may be quadratic in dV,
         and touches are also learned from mirror images of a symmetric sensor.
         """
         if name not in PRESETS:

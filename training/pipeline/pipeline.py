@@ -68,7 +68,7 @@ class Pipeline:
         adaptation: result of `adapt`, as `Adaptation.as_dict` gives it; empty before.
         flat_sensors: distribution of flat, untouched sensors, by which a session's start is tested;
             None where training had too few specimens.
-        usual: range of the readings of a healthy sensor, by which failed electrodes are found; of a
+        usual: range of the readings of a healthy sensor, to detect failed electrodes; of a
             few frames where None is given.
 
     Example:
@@ -115,7 +115,7 @@ class Pipeline:
                 protocol, with positions of touches where these are to be learned.
             settings: settings of the training; the defaults when omitted.
             progress: called with a stage, steps done and steps in all.
-            method: your own method, in place of the one that the settings name.
+            method: your own method, instead of the one that the settings name.
 
         Raises:
             DataError: for a dataset without design or protocol, with positions alone, or with too
@@ -151,7 +151,7 @@ class Pipeline:
 
         Each label shows what is known of its frame: a bend angle, touches with or without forces.
         The session begins again. An adaptation replaces the one before: give all frames at once.
-        The flat frames are from now on what a sensor is to be like to be taken for this one.
+        From now on sensors must resemble the flat frames to count as this one.
 
         Args:
             frames: n frames of one session, flat ones among them; or a dataset of one specimen.

@@ -1,4 +1,4 @@
-"""Methods of pictures: priors of Gauss-Newton pictures, total variation, and GREIT."""
+"""Methods of images: priors of Gauss-Newton images, total variation, and GREIT."""
 
 import math
 from typing import Literal
@@ -31,7 +31,7 @@ def prior_matrix(name: Prior, grid: PixelGrid, jacobian: Array) -> Array | csc_a
     tikhonov: the identity; every pixel varies on its own and alike.
     noser: diag(J^T J), see `noser_weights`; every pixel's signal varies alike.
     laplace: the discrete Laplacian, whose quadratic form is the sum of the squared differences of
-        neighbours: smooth pictures.
+        neighbours: smooth images.
     """
     if name == "tikhonov":
         return np.ones(len(grid))
@@ -41,7 +41,7 @@ def prior_matrix(name: Prior, grid: PixelGrid, jacobian: Array) -> Array | csc_a
 def weighted_laplacian(grid: PixelGrid, weights: Array | None = None) -> csc_array:
     """Laplacian D^T W D with weights of each pixel's gradient, (P,), as a sparse matrix (P, P).
 
-    A constant picture has no gradient. A tiny multiple of the identity, for pictures that vary over
+    A constant image has no gradient. A tiny multiple of the identity, for images that vary over
     a hundred times the sensor's extent, makes the matrix positive definite.
     """
     w = np.ones(len(grid)) if weights is None else weights
@@ -52,11 +52,11 @@ def weighted_laplacian(grid: PixelGrid, weights: Array | None = None) -> csc_arr
 
 
 def least_variation(grid: PixelGrid, jacobian: Array, data: Array, misfit: float) -> Array:
-    """Picture (P,) of least total variation that explains a frame up to a misfit |y - J x|.
+    """Image (P,) of least total variation that explains a frame up to a misfit |y - J x|.
 
     The total variation, the sum over pixels of sqrt(|grad x|^2 + beta^2), is majorised by a
-    quadratic with the weights 1 / sqrt(|grad x_k|^2 + beta^2) of the picture before (lagged
-    diffusivity, Vogel and Oman 1996): each step is a one-step Gauss-Newton picture with a weighted
+    quadratic with the weights 1 / sqrt(|grad x_k|^2 + beta^2) of the image before (lagged
+    diffusivity, Vogel and Oman 1996): each step is a one-step Gauss-Newton image with a weighted
     Laplacian as prior, and its total variation is at most that of the step before.
 
     Args:
@@ -85,7 +85,7 @@ def least_variation(grid: PixelGrid, jacobian: Array, data: Array, misfit: float
 def _compress(jacobian: Array, data: Array, misfit: float) -> tuple[Array, Array, float]:
     """Jacobian, data and misfit in the range of the Jacobian, without dependent measurements.
 
-    The part of the data that no picture explains counts towards the misfit.
+    The part of the data that no image explains counts towards the misfit.
     """
     vectors, sizes, _ = np.linalg.svd(jacobian, full_matrices=False)
     independent = sizes > 1e-9 * sizes[0]

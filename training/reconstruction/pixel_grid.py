@@ -1,4 +1,4 @@
-"""Pixels of pictures of a plane outline, and figures of merit and regions of a picture on them."""
+"""Pixels of images of a plane outline, and figures of merit and regions of an image on them."""
 
 import math
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ MIN_AREA = 0.003  # of the sensor, below which a region is none
 @old_names(gathered="sum_pixels", of="from_outline")
 @dataclass(frozen=True, eq=False)
 class PixelGrid:
-    """Pixels of a picture, rows along y and columns along x, over the bounding box of an outline.
+    """Pixels of an image, rows along y and columns along x, over the bounding box of an outline.
 
     A pixel is inside where its centre is. P counts the pixels inside, in the order of the rows.
 
@@ -53,7 +53,7 @@ class PixelGrid:
     def from_outline(cls, outline: Outline | MeshOutline, pixels: int = PIXELS) -> "PixelGrid":
         """Grid of about `pixels` squares on the bounding box.
 
-        Raises ConfigurationError for a surface, which has no picture in the plane, and for a number
+        Raises ConfigurationError for a surface, which has no image in the plane, and for a number
         that is out of range.
         """
         if isinstance(outline, Surface):
@@ -117,7 +117,7 @@ class PixelGrid:
         return int(away.argmin())
 
     def image(self, values: ArrayLike) -> Array:
-        """Pictures (..., rows, columns) from values (..., P) of the pixels inside; NaN outside."""
+        """Images (..., rows, columns) from values (..., P) of the pixels inside; NaN outside."""
         inner = np.asarray(values, dtype=float)
         require_axes("values", inner, len(self))
         picture = np.full((*inner.shape[:-1], *self.shape), np.nan)
@@ -160,7 +160,7 @@ class PixelGrid:
 
         Exact for pixels far from the rim of the disc; at the rim linear in the distance over one
         pixel's side, and of the disc's area in sum where the disc lies inside the outline.
-        Raises ConfigurationError for numbers that are no place or radius.
+        Raises ConfigurationError for numbers that are no position or radius.
         """
         places = np.asarray(centres, dtype=float)
         require_axes("centres", places, None, 2)
@@ -173,13 +173,13 @@ class PixelGrid:
 
 @dataclass(frozen=True, slots=True)
 class FiguresOfMerit:
-    """Figures of merit of one picture of one small target (Adler et al. 2009).
+    """Figures of merit of one image of one small target (Adler et al. 2009).
 
-    The blob is the set of pixels of at least a quarter of the picture's largest value, and the
+    The blob is the set of pixels of at least a quarter of the image's largest value, and the
     circle is that of the blob's area about its centroid.
 
     Attributes:
-        amplitude: integral of the picture over that of the target; ideally the same for every
+        amplitude: integral of the image over that of the target; ideally the same for every
             position.
         shift: shift from the target's centre to the blob's centroid, along x and y [m].
         resolution: square root of the blob's area over the sensor's; small is sharp.
@@ -207,7 +207,7 @@ class FiguresOfMerit:
 def figures_of_merit(
     values: ArrayLike, grid: PixelGrid, centre: tuple[float, float], integral: float
 ) -> FiguresOfMerit:
-    """Figures of merit of a picture of one target.
+    """Figures of merit of an image of one target.
 
     Args:
         values: values of the pixels inside the outline (P,).
@@ -216,7 +216,7 @@ def figures_of_merit(
         integral: integral of the target's change over its area, signed [m2].
 
     Raises:
-        DataError: for a picture without values of the target's sign, and for numbers that are not
+        DataError: for an image without values of the target's sign, and for numbers that are not
             finite or too large or small to divide by.
 
     Example:
@@ -257,7 +257,7 @@ def figures_of_merit(
 
 
 class PictureRegion(NamedTuple):
-    """Connected part of a picture.
+    """Connected part of an image.
 
     Attributes:
         sign: -1 for lower conductivity, +1 for higher.
@@ -273,7 +273,7 @@ class PictureRegion(NamedTuple):
 
 
 def segment(values: Array, grid: PixelGrid) -> NDArray[np.int8]:
-    """Classes -1, 0 and +1 of a picture (rows, columns), 0 outside the outline, too.
+    """Classes -1, 0 and +1 of an image (rows, columns), 0 outside the outline, too.
 
     Regions reach to `EDGE_SHARE` of their own largest change; small ones are left out. A sign whose
     changes are small next to the other's is none.
@@ -294,7 +294,7 @@ def segment(values: Array, grid: PixelGrid) -> NDArray[np.int8]:
 
 
 def picture_regions(values: Array, grid: PixelGrid) -> list[PictureRegion]:
-    """Regions of a picture (rows, columns), the largest first."""
+    """Regions of an image (rows, columns), the largest first."""
     classes, regions = segment(values, grid), []
     for sign in (-1, 1):
         labels, count = ndimage.label(classes == sign)

@@ -1,4 +1,4 @@
-"""Reconstructor: pictures of the conductivity change of any design under any protocol."""
+"""Reconstructor: images of the conductivity change of any design under any protocol."""
 
 from functools import cached_property
 from typing import Literal, get_args
@@ -46,14 +46,14 @@ MIN_RELATIVE_RESISTANCE = 1e-3
 
 @old_names(lambda_of="choose_lambda", mirrored="ambiguous_share")
 class Reconstructor:
-    """Pictures of the relative change of conductivity between two frames, without training.
+    """Images of the relative change of conductivity between two frames, without training.
 
-    To first order in the change, data are y = J x for the picture x. The methods:
+    To first order in the change, data are y = J x for the image x. The methods:
 
     - back-projection: x_p = (J^T y)_p / (J^T J)_pp, sensitivities projected back (Kotre 1989),
       scaled so that a change of the whole sensor is shown by its size in the mean.
     - tikhonov, noser, laplace: one-step Gauss-Newton, with the prior of that name.
-    - total-variation: least total variation at the misfit of the laplace picture.
+    - total-variation: minimum total variation at the misfit of the laplace image.
     - greit: trained on simulated targets (Adler et al. 2009).
 
     Attributes:
@@ -63,7 +63,7 @@ class Reconstructor:
         regularisation: rule for lambda; back-projection has none.
         difference: "relative" or "absolute".
         resolution: resolution of the forward model.
-        grid: pixels of the pictures.
+        grid: pixels of the images.
 
     Example:
         >>> from eitskin import Protocol, Reconstructor, SensorDesign
@@ -83,7 +83,7 @@ class Reconstructor:
         difference: Difference | None = None,
         resolution: Resolution | Discretisation = "fast",
     ) -> None:
-        """Check what is given; the forward model is solved for the first picture.
+        """Check what is given; the forward model is solved for the first image.
 
         Args:
             design: the nominal sensor, with a plane outline, or a model of any body, such as of a
@@ -213,7 +213,7 @@ class Reconstructor:
         return np.where(np.isfinite(change), change, np.nan) / scale
 
     def image(self, frame: Frame, reference: Frame) -> Array:
-        """Picture (rows, columns) of a frame against a reference frame; NaN outside the outline.
+        """Image (rows, columns) of a frame against a reference frame; NaN outside the outline.
 
         Values are relative changes of conductivity, dimensionless. Bad channels are left out.
 
@@ -243,9 +243,9 @@ class Reconstructor:
             )
 
     def images(self, data: ArrayLike) -> Array:
-        """Pictures (..., rows, columns) of data (..., measurements); NaN outside the outline.
+        """Images (..., rows, columns) of data (..., measurements); NaN outside the outline.
 
-        Channels that are NaN in a frame are left out of its picture.
+        Channels that are NaN in a frame are left out of its image.
 
         Raises:
             FrameError: for another number of measurements.
@@ -263,11 +263,11 @@ class Reconstructor:
         return self.grid.image(values.reshape(*y.shape[:-1], -1))
 
     def noise(self, data: ArrayLike) -> Array:
-        """Standard deviation (rows, columns) of pictures by noise alone; NaN outside the outline.
+        """Standard deviation (rows, columns) of images by noise alone; NaN outside the outline.
 
         The noise is that of the difference of two frames, as `data` (n, measurements) of an
         unchanged sensor show it from each to the next; for total variation, that of its laplace
-        picture. NaN for fewer than five frames, and where frames choose lambda (gcv).
+        image. NaN for fewer than five frames, and where frames choose lambda (gcv).
         """
         frames = np.atleast_2d(np.asarray(data, dtype=float))
         missing = np.isnan(frames).all(axis=0)

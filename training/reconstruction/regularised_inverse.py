@@ -44,7 +44,7 @@ class RegularisedInverse:
         return solved
 
     def picture(self, regularisation: float, data: Array) -> Array:
-        """Picture (pixels,) of lambda and data (measurements,), without the matrix."""
+        """Image (pixels,) of lambda and data (measurements,), without the matrix."""
         picture: Array = self.back @ np.linalg.solve(self._system(regularisation), data)
         return picture
 
@@ -61,7 +61,7 @@ class RegularisedInverse:
     def lambda_from_snr(self, snr: float) -> float:
         """Regularisation parameter lambda of a signal-to-noise ratio, root mean squares.
 
-        The picture is the MAP estimate for a prior of covariance s^2 R^-1 and noise of covariance
+        The image is the MAP estimate for a prior of covariance s^2 R^-1 and noise of covariance
         n^2 I, with lambda = n / s. Under this prior signals have the covariance s^2 G, so the mean
         square signal of the M measurements is S^2 = s^2 trace(G) / M. With S / n = snr,
         lambda = sqrt(trace(G) / M) / snr.
@@ -73,7 +73,7 @@ class RegularisedInverse:
         return self._scale / min(snr, MAX_SNR)
 
     def lambda_from_noise_figure(self, noise_figure: float, response: Array) -> float:
-        """Regularisation parameter lambda at which pictures have this noise figure.
+        """Regularisation parameter lambda at which images have this noise figure.
 
         Args:
             noise_figure: figure of `noise_figure` [-]; 0.5 in GREIT (Adler et al. 2009).
@@ -100,10 +100,10 @@ class RegularisedInverse:
         return float(10.0 ** brentq(excess, grid[last], grid[last + 1], xtol=1e-6)) * self._scale
 
     def noise_figure(self, regularisation: float, response: Array) -> float:
-        """Noise figure of lambda: ratio of signal to noise in the data to that in the picture.
+        """Noise figure of lambda: ratio of signal to noise in the data to that in the image.
 
         With white noise of unit variance in the data, NF = mean |y| / (mean |x| / s), where
-        x = R y is the picture of the response y, and s^2 = trace(R R^T) / P the mean variance of a
+        x = R y is the image of the response y, and s^2 = trace(R R^T) / P the mean variance of a
         pixel (Adler and Guardo 1996, in the form of Adler et al. 2009).
         """
         eigenvalues, vectors, spread = self._spectrum
@@ -132,9 +132,9 @@ class RegularisedInverse:
         return float(10.0**refined.x) * self._scale
 
     def lambda_from_misfit(self, misfit: float, data: Array) -> float:
-        """Regularisation parameter lambda whose picture of `data` (measurements,) has this misfit.
+        """Regularisation parameter lambda whose image of `data` (measurements,) has this misfit.
 
-        The misfit |y - J x| of a Gauss-Newton picture rises with lambda from zero to |y|.
+        The misfit |y - J x| of a Gauss-Newton image rises with lambda from zero to |y|.
         """
         eigenvalues, vectors, _ = self._spectrum
         energy = (vectors.T @ data) ** 2
@@ -195,7 +195,7 @@ def gauss_newton(jacobian: ArrayLike, prior: Array | csc_array) -> RegularisedIn
 class Regularisation:
     """Rule for lambda, with its number.
 
-    noise-figure: pictures lose this factor of signal to noise against the data; needs no frames
+    noise-figure: images lose this factor of signal to noise against the data; needs no frames
     (Adler and Guardo 1996; Graham and Adler 2006).
     snr: the MAP estimate for a signal-to-noise ratio of the frames.
     gcv: generalised cross-validation of the frames themselves; its number is not used.

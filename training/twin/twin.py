@@ -89,7 +89,7 @@ class Twin:
         """Twin that explains labelled frames of one sensor, by MAP estimate.
 
         Whatever is labelled is used: flat, untouched frames at least, known angles, and touches of
-        known place and force or depth. Numbers that the frames do not show stay at their prior.
+        known position and force or depth. Numbers that the frames do not show keep their prior.
 
         Args:
             design: nominal sensor, the centre of the prior.
@@ -179,7 +179,7 @@ class Twin:
 @old_names(of="from_twin")
 @dataclass(frozen=True, slots=True, eq=False)
 class PressedTwin:
-    """Twin of one sensor whose presses are simulated, for `Pipeline.adapt`.
+    """Twin of one sensor whose touches are simulated, for `Pipeline.adapt`.
 
     Attributes:
         specimen: fitted sensor, fixture and materials.
@@ -201,13 +201,13 @@ class PressedTwin:
 
     @classmethod
     def from_twin(cls, twin: Twin) -> "PressedTwin":
-        """Presses on a twin that was just fitted."""
+        """Touches on a twin that was just fitted."""
         nominal = twin.nominal.design
         return cls(twin.specimen, twin.meter, twin.frames.protocol, twin.resolution, nominal)
 
     @classmethod
     def read(cls, folder: str | Path, protocol: Protocol) -> "PressedTwin":
-        """Presses on the twin in a folder of `eitskin fit twin`, in measurements of a protocol.
+        """Touches on the twin in a folder of `eitskin fit twin`, in measurements of a protocol.
 
         Raises ConfigurationError where a file of it is missing or damaged, or where the twin has
         another number of electrodes than the protocol.
@@ -224,7 +224,7 @@ class PressedTwin:
         return cls(Specimen(design, *fixed), meter, protocol)
 
     def inside(self, places: Array) -> NDArray[np.bool_]:
-        """Whether places (n, 2) [m] are on the sensor (n,).
+        """Whether positions (n, 2) [m] are on the sensor (n,).
 
         Raises ConfigurationError for a sensor whose outline is a surface.
         """
@@ -236,7 +236,7 @@ class PressedTwin:
     def changes(self, touches: Array, angle_deg: float, radius: float) -> Array:
         """Changes of log V (n, C); see `TwinPresses.changes`. The indenter is a cylinder.
 
-        Raises ConfigurationError for bends or presses that the twin cannot have.
+        Raises ConfigurationError for bends or touches that the twin cannot have.
         """
         simulator = self.specimen.simulator(self.nominal, self.resolution, self.protocol)
         bend, indenter = Bend(angle_deg), Cylinder(round(radius, 6))
