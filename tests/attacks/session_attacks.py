@@ -194,15 +194,38 @@ def live(rng: random.Random, folder: Path, frames: int = 100) -> None:  # noqa: 
 
 @functools.cache
 def servers() -> tuple[Any, Any]:
-    """A live page and a stream by WebSocket."""
+    """A live page and a stream by WebSocket, of all trials; the page waits for nobody."""
     from eitskin.cli.page.live_page import LivePage
+    from eitskin.cli.page.server import ClientLimits
     from eitskin.hardware.streams import WebSocketOutlet
 
     from page_fakes import DESIGN, FakeConnection
 
-    page = LivePage(FakeConnection(), DESIGN)
+    page = LivePage(FakeConnection(), DESIGN, limits=ClientLimits(send=0.2, receive=0.1))
     page.__enter__()
     return page, WebSocketOutlet("127.0.0.1", 0)
+
+
+def websocket_frames(rng: random.Random) -> bytes:
+    """Frames of WebSocket with at most one thing wrong each: bits, kinds, lengths, texts."""
+    sent = b""
+    for _ in range(rng.randrange(1, 5)):
+        body = rng.choice(
+            (b"", b"{}", b"\xff\xfe", b"\x03\xe8", b"\0\1", rng.randbytes(125), b"a" * 2000)
+        )
+        head, length = rng.choice((0x81, 0x82, 0x89, 0x8A, 0x88, 0x01, 0x80)), len(body)
+        wrong = rng.random()
+        if wrong < 0.2:
+            head = rng.randrange(256)  # reserved bits and kinds, fragments of nothing
+        elif wrong < 0.4:
+            length = rng.choice((0, 126, 2**16, 2**40, 2**63, 2**64 - 1))
+        mask = rng.choice((0x80, 0x80, 0x80, 0))
+        small = bytes([mask | length]) if length < 126 else b""
+        long = length.to_bytes(2 if length < 2**16 else 8, "big")
+        sent += bytes([head]) + (small or bytes([mask | (126 if len(long) == 2 else 127)]) + long)
+        key = rng.randbytes(4) if mask else b""
+        sent += key + (bytes(b ^ key[n % 4] for n, b in enumerate(body)) if mask else body)
+    return sent
 
 
 def network(rng: random.Random, folder: Path) -> None:  # noqa: ARG001
@@ -214,27 +237,30 @@ def network(rng: random.Random, folder: Path) -> None:  # noqa: ARG001
         f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
         "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
     )
-    body = '{"bend_deg": 5, "touches": [{"x": 0.05, "y": 0.02, "force": 1e400}]}'
+    text = rng.choice(("<script>alert(1)</script>", "\\ud800", "a" * 3000, "\\u202e", "idle"))
+    path, body = rng.choice(
+        (
+            ("/scene", '{"bend_deg": 5, "touches": [{"x": 0.05, "y": 0.02, "force": 1e400}]}'),
+            ("/scene", "[" * 3000),
+            ("/fault", f'{{"fault": "{text}"}}'),
+            ("/enter", f'{{"token": "{text}"}}'),
+        )
+    )
     post = (
-        f"POST /scene HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nOrigin: {url.rstrip('/')}\r\n"
+        f"POST {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nOrigin: {url.rstrip('/')}\r\n"
         f"Content-Type: application/json\r\nContent-Length: {len(body)}\r\n\r\n{body}"
     )
     sent = hello.encode() if url.startswith("ws") or rng.random() < 0.3 else post.encode()
-    frames = b"".join(
-        bytes([rng.randrange(256), rng.choice((0, 5, 126, 127, 128, 133, 254, 255))])
-        + rng.randbytes(12)
-        for _ in range(4)
-    )
-    with socket.create_connection(("127.0.0.1", port), timeout=20.0) as client:
+    with socket.create_connection(("127.0.0.1", port), timeout=0.5) as client:
         client.sendall(sent if rng.random() < 0.6 else damaged(sent, rng))
         with contextlib.suppress(OSError):
             if url.startswith("ws"):
                 stream.send("{}")
                 client.recv(4096)
-                client.sendall(frames)
+                client.sendall(websocket_frames(rng))
             if rng.random() < 0.3:
                 client.shutdown(socket.SHUT_WR)
-                client.recv(65536)
+            client.recv(65536)
     if rng.random() < 0.05:
         if ask(page, "GET", "/")[0] != 200:
             raise AcceptedDamageError("the page serves nobody any more")
