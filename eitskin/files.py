@@ -50,7 +50,7 @@ def atomic_file(
     permissions `mode`, less those that the umask withholds. Where the file cannot be written,
     `failure` is raised with `remedy` at the end of its message.
     """
-    path = Path(path)
+    path = _require_name(path, failure, remedy)
     try:
         temporary = path.with_name(f"{TEMPORARY}{token_hex(8)}{path.suffix}")
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, mode))
@@ -74,7 +74,7 @@ def atomic_folder(
     Arguments and guarantees are those of `atomic_file`. A folder that stood at `path` is replaced;
     missing parent folders are made.
     """
-    path = Path(path)
+    path = _require_name(path, failure, remedy)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = path.with_name(f".{path.name}.{token_hex(8)}")
@@ -111,6 +111,13 @@ def remove_leftovers(folder: Path) -> None:
     """Remove temporary files that killed writers left in `folder`."""
     for leftover in folder.glob(TEMPORARY + "*"):
         remove_file(leftover)
+
+
+def _require_name(path: str | Path, failure: type[EitskinError], remedy: str) -> Path:
+    """Path of something new; "", "." and "/" name folders that stand already."""
+    if not (made := Path(path)).name:
+        raise failure(f"cannot write {made}: expected a new name; {remedy}")
+    return made
 
 
 def _put_in_place(temporary: Path, path: Path) -> None:

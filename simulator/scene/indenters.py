@@ -51,7 +51,7 @@ class Indenter(ABC):
 
     def reach(self, directions: Array) -> Array:
         """Farthest distance from the touch along unit vectors (n, 2) [m], (n,)."""
-        return np.full(len(directions), self.rims[1])
+        return np.full(np.shape(directions)[:-1], self.rims[1])
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,12 +5,14 @@ The stages import this module inside the functions that need it, so that torch s
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 
 import numpy as np
 import torch  # noqa: TID253  see above
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn  # noqa: TID253  see above
 
+from eitskin.threads import one_torch_thread
 from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.network_training import (
     Batch,
@@ -23,6 +25,9 @@ from eitskin.training.method.settings import NetworkSettings
 from eitskin.training.paper.layers import Layer, coordinates
 
 Flips = Sequence[tuple[bool, bool]]
+
+MAX_SHOWN_ALONE = 30_000
+"""Frames shown in a short training, for which several threads would wait longer than they work."""
 
 
 def layer_network(layers: Sequence[Layer]) -> nn.Sequential:
@@ -112,10 +117,13 @@ def train_layers(
         return Samples(locate_samples if placed else shown, len(targets))
 
     network = seeded_network(lambda: layer_network(layers), seed)
+    network = network.to(memory_format=torch.channels_last)  # convolutions are half as long
     fitted = samples(*frames, settings.noise * np.asarray(noise), flips)
     unseen = None if validation is None else samples(*validation, 0.0)
     batch, count = fitted.batch, fitted.count
-    history = train_network(network, batch, loss, count, settings, seed, progress, unseen)
+    shown = settings.count_epochs(count) * count
+    with one_torch_thread() if shown <= MAX_SHOWN_ALONE else nullcontext():
+        history = train_network(network, batch, loss, count, settings, seed, progress, unseen)
     return network_weights(network), history
 
 
