@@ -82,7 +82,7 @@ class MatReader(ArrayReader):
             kinds = {name: kind for name, _, kind in whosmat(path)}
         names = [name for name, kind in kinds.items() if kind in _MATLAB_NUMBERS]
         unread = {name: f"a MATLAB {kind}" for name, kind in kinds.items() if name not in names}
-        structures = [name for name, kind in kinds.items() if kind == "struct"]
+        structures = [name for name, kind in kinds.items() if kind in ("struct", "cell")]
         self._inside: dict[str, NDArray[Any]] = {}
         stimulations: list[Any] = []
         if structures:
@@ -106,15 +106,22 @@ def _collect_arrays(
     value: Any, name: str, found: dict[str, NDArray[Any]], patterns: list[Any]
 ) -> None:
     """Collect the arrays of numbers in a structure, and EIDORS's stimulations."""
-    several = value if isinstance(value, list) else [value]
+    cells = isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype.kind == "O")
+    several = list(value) if cells else [value]
     dicts = [each for each in several if isinstance(each, dict)]
     if dicts and all(set(_STIMULATION) <= set(each) for each in dicts):
         patterns += [] if patterns else dicts
+    elif dicts and dicts != [value]:  # one structure for each frame
+        for key in dicts[0]:
+            _collect_arrays([d.get(key) for d in dicts], f"{name}/{key}", found, patterns)
     elif isinstance(value, dict):
         for key, inner in value.items():
             _collect_arrays(inner, f"{name}/{key}", found, patterns)
     elif isinstance(value, np.ndarray) and value.dtype.kind in "biufc" and value.ndim:
         found[name] = value
+    elif len({np.size(cell) for cell in several}) == 1 < len(several):
+        rows = np.array([np.ravel(cell) for cell in several])
+        found |= {name: rows} if rows.dtype.kind in "biufc" else {}
 
 
 def _dense(matrix: Any) -> NDArray[Any]:
@@ -220,6 +227,9 @@ def _matrix(item: Any) -> NDArray[Any]:
 def _frames(array: Any, name: str, transposed: bool) -> NDArray[Any]:
     """Table (frames, channels) of an array; raises DataError for one that is no matrix."""
     table = array[:, None] if array.ndim == 1 and transposed else array
+    if table.ndim > 2:  # drive pairs by sense pairs
+        frames = table.T if transposed else table
+        return _numbers(frames.reshape(len(frames), -1), name)
     if table.ndim != 2:
         raise DataError(
             f"'{name}' must be a matrix of numbers, frames by columns, got shape {array.shape}; "

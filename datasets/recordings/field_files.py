@@ -49,7 +49,7 @@ def field_reader(path: Path) -> Reader | None:
     ending = ".eit" if path.is_dir() else path.suffix.lower()
     if ending == ".get":
         return FieldReader(path, _read_get)
-    if ending == ".dat" and _gimli_lines(path):
+    if ending in (".dat", ".ohm") and _gimli_lines(path):
         return FieldReader(path, _read_gimli)
     if ending != ".eit":
         return None

@@ -36,6 +36,7 @@ MAX_FORCE: Final = 500.0  # N on a skin; more is most likely grams
 _MARGIN: Final = 0.01  # of the sensor's size, by which positions may have an error at the rim
 _SCATTERED, _LEAST_SPAN = 10, 200  # so many positions spread over this fraction of the sensor
 MAX_FRAME_PERIOD: Final = 30.0  # s from frame to frame
+MIN_FRAME_PERIOD: Final = 2e-5  # s; days of a spreadsheet are shorter
 MAX_WHOLE_PERIOD: Final = 2.0  # s, where all times are whole numbers
 MAX_EPOCH_TIME: Final = 1e11  # s since 1970
 _WRAPS: Final = (2**32 / 1e3, 2**32 / 1e6)
@@ -197,9 +198,14 @@ def _times(column: NDArray[Any], factor: float) -> NDArray[Any]:
     try:
         times = _numbers(column, "t") * factor
     except DataError as error:
-        for forms in ({"format": "ISO8601"}, {"format": "%d.%m.%Y %H:%M:%S"}):
+        # Fractions of seconds behind a comma or, in three digits, a colon.
+        marked = [
+            re.sub(r"(:\d\d)(?:,(?=\d)|:(?=\d{3}$))", r"\1.", each) for each in column.tolist()
+        ]
+        column = np.array(marked)
+        for form in ("ISO8601", "%d.%m.%Y %H:%M:%S", "%m/%d/%Y %I:%M:%S %p"):
             with suppress(ValueError):
-                dates = pd.to_datetime(column, utc=True, **forms)
+                dates = pd.to_datetime(column, utc=True, format=form)
                 return np.asarray(dates.tz_localize(None), dtype="M8[ns]")
         with suppress(ValueError, TypeError):
             return np.asarray(pd.to_timedelta(column), dtype="m8[ns]").astype("M8[ns]")
@@ -247,11 +253,12 @@ class Clock:
             usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else usual
             whole = (times[rows] == np.round(times[rows])).all()
             longest = MAX_WHOLE_PERIOD if whole else MAX_FRAME_PERIOD
-            if not unit and (usual > longest or abs(times[rows]).max() > MAX_EPOCH_TIME):
+            unlikely = usual > longest or 0 < usual < MIN_FRAME_PERIOD
+            if not unit and (unlikely or abs(times[rows]).max() > MAX_EPOCH_TIME):
                 raise DataError(
                     f"times such as {times[rows[0]]:.15g} and {times[rows[-1]]:.15g}, {usual:g} "
                     "from frame to frame, are hardly seconds; import with --time-unit ms or us, "
-                    "or with --time-unit s where they are"
+                    "with --column t=NAME*86400 for days, or with --time-unit s where they are"
                 )
             wraps = np.zeros(len(steps))
             for period in _WRAPS:

@@ -15,10 +15,10 @@ PhaseUnit = Literal["", "deg", "rad"]
 
 _PHASE: Final = "phase|phas|phi|theta|angle|arg|ph"
 _WORDS: Final = (
-    ("magnitude", "magnitude|magn|mag|amplitude|ampl|amp|abs|modulus|betrag"),
+    ("magnitude", "[zv]?(?:magnitude|magn|mag|amplitude|ampl|amp|abs|modulus|mod|rms|betrag)"),
     ("phase", _PHASE),
-    ("real", "real|re|resistance"),
-    ("imaginary", "imaginary|imag|im|reactance"),
+    ("real", "[zv]?(?:real|re|resistance)|z'(?!')"),
+    ("imaginary", "[zv]?(?:imaginary|imag|im|reactance)|z(?:''|\")"),
     ("real", "r"),
     ("imaginary", "i"),
     ("real", "i"),
@@ -38,19 +38,28 @@ _UNIT: Final = re.compile(
 )
 _PREFIXED_UNIT: Final = re.compile(r".*[\s_.(\[-]([kmuµM]?)(?:[oO]hms?|Ω|Ω|V)[)\]]?")
 _FACTORS: Final = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "M": 1e6}
-_READING: Final = re.compile(r"impedance|resistance|reading|value|voltage|magn|ohm|^[zrv]$", re.I)
+_READING: Final = re.compile(
+    r"impedance|resistance|reading|value|voltage|magn|ohm|^(?:[zrvu]|data|meas\w*)$", re.I
+)
+_ELECTRODES: Final = (
+    r"a|c1|(?:drive|inj|src|i)[_ ]?(?:\+|pos|1|a)",
+    r"b|c2|(?:drive|inj|src|i)[_ ]?(?:-|neg|2|b)",
+    r"m|p1|(?:sense|meas|v)[_ ]?(?:\+|pos|1|m)",
+    r"n|p2|(?:sense|meas|v)[_ ]?(?:-|neg|2|n)",
+)
+"""Names of the columns with drive+, drive-, sense+ and sense- of a reading in each row."""
 _RADIANS, _DEGREES = (re.compile(rf"(?<![a-z])({w})", re.I) for w in ("rad", "deg|°"))
 
 
-def pair_columns(header: Sequence[str]) -> dict[str, list[int]]:
-    """Numbers of the columns of two parts, in one order; none without two pairs.
+def pair_columns(header: Sequence[str], least: int = 2) -> dict[str, list[int]]:
+    """Numbers of the columns of two parts, in one order; none without `least` pairs.
 
     Names of a pair are equal but for the word of the part, signs, and units behind them.
     """
     for (part, word), (other, other_word) in zip(_PARTS[::2], _PARTS[1::2], strict=True):
         first, second = _stems(header, word), _stems(header, other_word)
         shared = [stem for stem in first if stem in second]
-        if len(shared) > 1:
+        if len(shared) >= least:
             return {part: [first[s] for s in shared], other: [second[s] for s in shared]}
     return {}
 
@@ -139,6 +148,35 @@ def protocol_of_names(names: Sequence[str]) -> Protocol | None:
 def counts_from_one(names: Sequence[str]) -> bool:
     """Whether no name of four electrodes has a 0."""
     return min(map(min, map(electrodes_of_name, names))) > 0
+
+
+def electrode_columns(names: Sequence[str]) -> tuple[str, ...]:
+    """Columns with the four electrodes of the reading in each row; none in other files."""
+    found = [[n for n in names if re.fullmatch(kind, n, re.I)] for kind in _ELECTRODES]
+    return tuple(each[0] for each in found) if all(len(each) == 1 for each in found) else ()
+
+
+def protocol_of_rows(rows: NDArray[Any]) -> Protocol:
+    """Protocol of the electrodes (readings, 4) of whole frames, one after the other.
+
+    Electrodes count from 1 where no row has a 0. Raises DataError for frames that differ.
+    """
+    if not np.isfinite(rows).all() or rows.min() < 0 or rows.max() > MAX_ELECTRODES:
+        raise DataError(f"expected numbers of electrodes up to {MAX_ELECTRODES} in each row")
+    electrodes = rows.astype(int)
+    electrodes -= int(electrodes.min() > 0)
+    again = (electrodes[1:] == electrodes[0]).all(axis=1)
+    size = int(again.argmax()) + 1 if again.any() else len(electrodes)
+    for row, place in zip(electrodes, itertools.cycle(electrodes[:size]), strict=False):
+        if (row != place).any():
+            raise DataError(
+                f"expected the {size} readings of the first frame in all frames in one order, got "
+                f"electrodes {row.tolist()} where the first has {place.tolist()} (from 0)"
+            )
+    try:
+        return Protocol.from_rows(electrodes[:size].tolist(), int(electrodes.max()) + 1)
+    except ConfigurationError as error:
+        raise DataError(f"the electrodes of the rows are no protocol: {error}") from error
 
 
 def require_protocol_of_names(protocol: Protocol, named: Protocol) -> None:

@@ -29,6 +29,8 @@ class ReadRequest:
         paired: whether a table of labels may have one row for each pair of rows of the values.
         block_rows: number of rows of a block; even, so that readings before and during a press stay
             together.
+        loses_cells: whether cells of values that are no numbers are lost, not refused.
+        drops_rows: whether rows of another number of cells are left out, not refused.
     """
 
     values: tuple[str, ...]
@@ -37,6 +39,8 @@ class ReadRequest:
     transposed: bool = False
     paired: bool = False
     block_rows: int = BLOCK_ROWS
+    loses_cells: bool = False
+    drops_rows: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,9 @@ from eitskin.datasets.recordings.orders import Order, in_order, require_order
 from eitskin.datasets.recordings.parts import (
     PhaseUnit,
     counts_from_one,
+    electrode_columns,
     protocol_of_names,
+    protocol_of_rows,
     require_protocol_of_names,
     unit_factor,
 )
@@ -210,8 +212,7 @@ class RecordedFile:
         factor = unit_factor(titles) if form.scale == 1.0 else form.scale
         self._names_volts = form.scale == 1.0 and all(t.rstrip("])").endswith("V") for t in titles)
         self._form, self._scale = (form := replace(form, scale=factor)), factor
-        named = protocol_of_names(titles)
-        self.counts_from_one = named is not None and counts_from_one(titles)
+        named = self._protocol_of_file(titles)
         if self.protocol is not None and named is not None:
             require_protocol_of_names(self.protocol, named)
         own = source.contents
@@ -253,6 +254,8 @@ class RecordedFile:
             tuple(sorted(labels)),
             transposed=form.transpose,
             paired=form.rows != "frames",
+            loses_cells=form.bad_values != "refuse",
+            drops_rows=form.bad_values == "drop",
             block_rows=BLOCK_ROWS // self._whole_rows * self._whole_rows or BLOCK_ROWS,
         )
         parts = (part.strip() for name in values for part in name.split(","))
@@ -260,6 +263,16 @@ class RecordedFile:
         self.unused = source.unused_tables(used)
         if names.patterns:
             self._read_patterns(*names.patterns)
+
+    def _protocol_of_file(self, titles: Sequence[str]) -> Protocol | None:
+        """Protocol by columns of electrodes, or by the names of the values; None for neither."""
+        named = protocol_of_names(titles)
+        self.counts_from_one = named is not None and counts_from_one(titles)
+        if quad := electrode_columns(self._source.names):
+            blocks = self._source.blocks(ReadRequest(quad))
+            rows = np.concatenate([np.hstack([t[name] for name in quad]) for t in blocks])
+            named, self.counts_from_one = protocol_of_rows(rows), bool(rows.min() > 0)
+        return named
 
     def _read_patterns(self, drive: str, sense: str) -> None:
         if self.protocol is not None:
@@ -367,7 +380,7 @@ class RecordedFile:
         """Message for another number of channels than the protocol has."""
         whole = self._whole
         fitting = fitting_protocols(whole.n_electrodes if whole else 0, shape[1])
-        hint = f", such as {' or '.join(fitting)}" if fitting else ""
+        hint = f", such as {' or '.join(fitting)}" if fitting else ", or its table, --protocol FILE"
         if len(whole or ()) == shape[0]:
             hint += "; the table has as many rows: read it with --transpose"
         return (

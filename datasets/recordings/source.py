@@ -17,6 +17,7 @@ from eitskin.datasets.recordings.arrays import Hdf5Reader, NumpyReader, open_mat
 from eitskin.datasets.recordings.field_files import FIELD, FieldReader, field_reader
 from eitskin.datasets.recordings.parts import (
     complex_values,
+    electrode_columns,
     electrodes_of_name,
     is_phase,
     is_reading,
@@ -50,7 +51,9 @@ SECONDS: Final = 30
 
 _BYTES_PER_SECOND: Final = 100_000  # of a spreadsheet, the slowest to read
 _MEMORY, _MEMORY_PER_BYTE = 400 << 20, 40  # [bytes]
-_NUMBERED_NAME: Final = re.compile(r"(.*\D)(\d{1,9})(?:\s*[\[(][^\d\])]*[\])])?")
+_NUMBERED_NAME: Final = re.compile(
+    r"(.*?[^\d\[(])[\[(]?(\d{1,9})[\])]?(?:\s*[\[(][^\d\])]*[\])]|\s*/\s*[^\d\s]+)?"
+)
 """Name of a numbered column, perhaps with a unit; longer numbers are names."""
 
 _READERS: Final[Mapping[str, Callable[..., Reader]]] = {
@@ -61,7 +64,7 @@ _READERS: Final[Mapping[str, Callable[..., Reader]]] = {
     **dict.fromkeys((".npz", ".npy"), NumpyReader),
     **dict.fromkeys((".jsonl", ".ndjson", ".json"), JsonReader),
     **dict.fromkeys((".h5", ".hdf5"), Hdf5Reader),
-    **dict.fromkeys((".txt", ".dat"), TextReader),
+    **dict.fromkeys((".txt", ".dat", ".log", ".asc", ".ohm"), TextReader),
 }
 
 
@@ -96,12 +99,17 @@ class Source:
         self.contents = msgspec.convert(head.data, Contents)
         self._columns: dict[str, list[int]] = {}
         if not self.contents.names:
+            unread = "; ".join(f"'{name}' is {kind}" for name, kind in self.contents.unread.items())
+            if unread:
+                raise DataError(f"expected arrays of plain numbers, but {unread}")
             _check_header(path, self.contents.header)
             self._columns = _group_columns(self.contents.header)
         self.names = self.contents.names or tuple(self._columns)
         self.usual_values = self.contents.usual_values
         self._joined: dict[str, tuple[str, str]] = {}
         pair = ",".join(pair_columns(self.contents.header))
+        if not pair and len(whole := pair_columns(self.names, 1)) == 2:
+            pair = ",".join(self.names[numbers[0]] for numbers in whole.values())
         if pair and self.usual_values not in self.names:
             self.usual_values = pair
 
@@ -116,6 +124,9 @@ class Source:
         usual, header = self.usual_values, self.contents.header
         if not usual or usual in self.names or "," in usual:
             return usual
+        if quad := electrode_columns(self.names):
+            readings = [n for n in self.names if n not in quad and is_reading(n)]
+            return readings[0] if len(readings) == 1 else usual
         numbered = [header[column] for column in self._columns.get("c", ())]
         if self.contents.remark and numbered:
             few = 0 < count <= len(numbered) <= count + MAX_LABELS
@@ -133,10 +144,10 @@ class Source:
         values = tuple(part for name in request.values for part in self._joined.get(name, (name,)))
         request = dataclasses.replace(request, values=values)
         if self._columns:
-            if request.transposed:
+            if request.transposed and request.labels:
                 raise ConfigurationError(
-                    f"{self.path.name} has frames as rows, which cannot be transposed; leave "
-                    "--transpose out"
+                    f"{self.path.name}: columns are frames with --transpose, so that none holds "
+                    f"{', '.join(request.labels)}; leave one of both out"
                 )
             columns = {name: self._columns[name] for name in (*values, *request.labels)}
             request = dataclasses.replace(request, columns=columns)
@@ -150,7 +161,10 @@ class Source:
                 polar = is_phase(second)
                 if polar:
                     unit = phase_unit(unit, (second, *self.titles(second)), tables[second])
-                tables[name] = complex_values(tables[first], tables[second], unit if polar else "")
+                titles = self.titles(second) or [second]
+                sign = -1.0 if all(title.startswith("-") for title in titles) else 1.0  # -Im(Z)
+                parts = tables[first], sign * tables[second]
+                tables[name] = complex_values(*parts, unit if polar else "")
             yield tables
 
     def titles(self, name: str) -> list[str]:

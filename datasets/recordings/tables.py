@@ -6,7 +6,7 @@ import io
 import itertools
 import re
 from abc import abstractmethod
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -26,9 +26,11 @@ _DELIMITERS: Final = ",;\t"
 MIN_NUMBERED: Final = 3  # columns that are named by numbers in turn
 _BLOCK_BYTES: Final = 1 << 20
 _SAMPLE: Final = 1000  # lines, among which the header is
-_BRACKETS: Final = re.compile(r"\s*[\[{(]+([^\[\](){}]*)[\])}]*\s*[,;]?\s*")
+_BRACKETS: Final = re.compile(r"\s*[\[{(<]+([^\[\](){}<>]*)[\])}>]*\s*[,;]?\s*")
+_REMARK: Final = re.compile(r"\s+(?:#|//)\s.*")
 _LABEL: Final = re.compile(
-    r"\s*(?:([A-Za-z_][\w -]{0,40}?)\s*[:=]|\d{1,2}:\d\d:\d\d(?:[.,]\d+)?\s*->)\s*(?=[-+\d.\[({])"
+    r"\s*(?:\d{4}-\d\d-\d\d[ T][\d:.,]+\W+(?:[A-Z]+\W+)?)?"
+    r"(?:([A-Za-z_][\w -]{0,40}?)\s*[:=]|\d{1,2}:\d\d:\d\d(?:[.,]\d+)?\s*->)\s*(?=[-+\d.\[({])"
 )
 """Beginning of a line of numbers: "magnitudes : ", or the time that a terminal puts there."""
 _DECIMAL_COMMA: Final = re.compile(r"\d,\d")
@@ -41,25 +43,28 @@ class TableReader(Reader):
     """Reader of a file with one row of cells for each frame, below names of columns."""
 
     @abstractmethod
-    def cells(self, columns: Sequence[int], numeric: Collection[int]) -> "pd.DataFrame":
-        """Cells of some columns by number, numbers in some of them; row numbers are the index."""
+    def cells(self, columns: Sequence[int], request: ReadRequest) -> "pd.DataFrame":
+        """Cells of some columns by number; row numbers are the index."""
 
     def tables(self, request: ReadRequest) -> Tables:
-        columns, values = request.columns, {n for v in request.values for n in request.columns[v]}
+        columns = request.columns
         chosen = sorted({number for numbers in columns.values() for number in numbers})
-        frame = self.cells(chosen, values)
-        return {
-            name: self._table(frame[columns[name]], name in request.values)
+        frame = self.cells(chosen, request)
+        tables = {
+            name: self._table(frame[columns[name]], name in request.values, request.loses_cells)
             for name in (*request.values, *request.labels)
         }
+        if request.transposed:
+            tables |= {name: tables[name].T for name in request.values}
+        return tables
 
-    def _table(self, cells: "pd.DataFrame", numeric: bool) -> NDArray[Any]:
+    def _table(self, cells: "pd.DataFrame", numeric: bool, loses: bool) -> NDArray[Any]:
         """Cells as a table (rows, columns) of numbers, or of text where it need not be numeric."""
         columns, rows = [], cells.index.tolist()
         for number in cells:
             array = _array(cells[number], rows, self.contents.header[number])
             if numeric and array.dtype.kind not in "iufc":
-                array = _numbers(array, rows, self.contents.header[number])
+                array = _numbers(array, rows, self.contents.header[number], loses)
             columns.append(array)
         if len({array.dtype.kind == "U" for array in columns}) > 1:
             columns = [array.astype(np.str_) for array in columns]
@@ -91,8 +96,12 @@ class TextReader(TableReader):
         rows = [self._cells(line) for _, line in sample]
         begin = find_header(rows, [number for number, _ in sample], header_row)
         rows = rows[begin:]
-        width = max((len(_without_empty_end(row)) for row in rows), default=0)
+        widths = [len(_without_empty_end(row)) for row in rows]
+        width = max(widths, default=0)
         header, remark = rows[0][:width] if rows else [], ""
+        if _are_values(header):  # the first line may have lost its beginning
+            width = max(widths, key=widths.count)
+            header = rows[widths.index(width)][:width]
         if self._label:
             header = [f"{self._label}{column}" for column in range(len(header))]
         elif _are_values(header):
@@ -113,16 +122,21 @@ class TextReader(TableReader):
         usual = self._label or "v"
         self.contents = Contents(header=tuple(header), usual_values=usual, remark=remark)
 
-    def cells(self, columns: Sequence[int], numeric: Collection[int]) -> "pd.DataFrame":
+    def cells(self, columns: Sequence[int], request: ReadRequest) -> "pd.DataFrame":
         import pandas as pd
 
+        numeric = {number for name in request.values for number in request.columns[name]}
         width = len(self.contents.header)
         lines = {n: self._cut(line, width) for n, line in self._lines() if n >= self._first}
-        for number, line in lines.items():
+        for number, line in list(lines.items()):
             if (count := self._count(line)) != width:
+                if request.drops_rows:
+                    del lines[number]
+                    continue
                 raise DataError(
                     f"row {number}: expected {width} cells, got {count}: "
-                    f"'{shorten_text(line)}'; --header-row names the row of the columns' names"
+                    f"'{shorten_text(line)}'; --header-row names the row of the columns' names, "
+                    "and --bad-values drop leaves such rows out"
                 )
         frame = pd.read_csv(
             io.StringIO("\n".join(lines.values())),
@@ -155,6 +169,7 @@ class TextReader(TableReader):
                     label = _LABEL.match(text)
                     same = label is not None and _label_word(label) == self._label
                     text = text[label.end() :] if label and same else ""
+                text = _REMARK.sub("", text)
                 if brackets := _BRACKETS.fullmatch(text):
                     text = brackets[1]
                 if text.strip(f'{_DELIMITERS}" ') and not text.startswith(_COMMENTS):
@@ -191,7 +206,7 @@ class HeldReader(TableReader):
 
     _rows: "pd.DataFrame"
 
-    def cells(self, columns: Sequence[int], numeric: Collection[int]) -> "pd.DataFrame":  # noqa: ARG002
+    def cells(self, columns: Sequence[int], request: ReadRequest) -> "pd.DataFrame":  # noqa: ARG002
         return self._rows.set_axis(range(self._rows.shape[1]), axis=1)[list(columns)]
 
 
@@ -231,7 +246,9 @@ class SpreadsheetReader(HeldReader):
         if beyond.any():
             raise DataError(f"row {beyond.idxmax()}: expected {len(header)} cells, got more")
         if cells.empty:
-            raise DataError("expected a header and at least one row, got no row")
+            others = ", ".join(each for each in book.sheet_names if each not in sheets)
+            more = f"; other sheets, for --sheet, are {others}" if others else ""
+            raise DataError(f"expected a header and at least one row, got no row{more}")
         self._rows = cells
         self.contents = Contents(header=tuple(header), usual_values="v")
 
@@ -247,6 +264,11 @@ class JsonReader(HeldReader):
             encoding = _encoding(path)
             whole = path.suffix.lower() == ".json" and path.read_text(encoding)[:1] == "["
             read = pd.read_json(path, lines=not whole, convert_dates=False, encoding=encoding)
+            inner = [cell for cell in read.iloc[0] if isinstance(cell, list)]
+            if len(read) == 1 and len(inner) == 1 and all(isinstance(e, dict) for e in inner[0]):
+                read = pd.DataFrame(inner[0])  # {"frames": [{...}, {...}]}
+            elif len(read) == 1 and any(isinstance(e[0], list) for e in inner if e):
+                read = pd.DataFrame({k: c for k, (c,) in read.items() if isinstance(c, list)})
             self._rows = read.map(lambda cell: np.array(cell) if isinstance(cell, list) else cell)
         self._rows.index += 1
         self.contents = Contents(header=tuple(map(str, read.columns)), usual_values="v")
@@ -264,7 +286,7 @@ class ParquetReader(TableReader):
         if not self._file.metadata.num_rows:
             raise DataError("expected at least one row, got none")
 
-    def cells(self, columns: Sequence[int], numeric: Collection[int]) -> "pd.DataFrame":  # noqa: ARG002
+    def cells(self, columns: Sequence[int], request: ReadRequest) -> "pd.DataFrame":  # noqa: ARG002
         names = [self.contents.header[number] for number in columns]
         with as_data_errors("Parquet file"):
             return self._file.read(names).to_pandas().set_axis(list(columns), axis=1)
@@ -284,14 +306,20 @@ def find_header(rows: list[list[str]], numbers: Sequence[int], row: int | None =
     if row is not None:
         return numbers.index(row)
     filled = [sum(map(bool, row)) for row in rows]
-    return next((place for place, n in enumerate(filled) if 2 * n > max(filled)), 0)
+    wide = [place for place, n in enumerate(filled) if 2 * n > max(filled)]
+    above = list(itertools.takewhile(lambda place: not _are_values(rows[place]), wide))
+    named = (place for place in above if len({*filter(None, rows[place])}) == filled[place])
+    return next(named, (wide or [0])[0])
 
 
 def _encoding(path: Path) -> str:
     """Encoding of a text file: by its byte order mark, UTF-8, or Latin-1 where it is neither."""
     with path.open("rb") as file:
-        if file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        start = file.read(2)
+        if start in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
             return "utf-16"
+        if len(start) == 2 and 0 in start and any(start):
+            return "utf-16-be" if start[0] == 0 else "utf-16-le"
         file.seek(0)
         decoder = codecs.getincrementaldecoder("utf-8")()
         try:
@@ -368,15 +396,23 @@ def _array(cells: "pd.Series[Any]", rows: Sequence[int], title: str) -> NDArray[
     return np.stack(lists).astype(np.float64)
 
 
-def _numbers(cells: NDArray[Any], rows: Sequence[int], title: str) -> NDArray[Any]:
+def _numbers(
+    cells: NDArray[Any], rows: Sequence[int], title: str, loses: bool = False
+) -> NDArray[Any]:
     """Text as real or complex numbers, NaN where empty; raises DataError."""
-    numbers = np.empty(cells.shape, dtype=np.complex128)
+    numbers = np.full(cells.shape, np.nan, dtype=np.complex128)
     for place, cell in np.ndenumerate(cells):
+        text = re.sub(r"[ *]", "", str(cell)).replace("+-", "-").replace("i", "j")
+        if text.count(",") == 1 and "." not in text:
+            text = text.replace(",", ".")  # in a cell of its own, as spreadsheets keep it
         try:
-            numbers[place] = complex(re.sub("i$", "j", str(cell).replace(" ", "")) or "nan")
+            numbers[place] = complex(re.sub(r"(?<=\d)[dD](?=[-+\d])", "e", text) or "nan")
         except ValueError:
+            if loses:
+                continue
             raise DataError(
                 f"row {rows[place[0]]}, column {title}: expected a number such as 530.1 or "
-                f"530.1-2j, got '{shorten_text(str(cell))}'"
+                f"530.1-2j, got '{shorten_text(str(cell))}'; --bad-values mark or drop takes it "
+                "for lost"
             ) from None
     return numbers if numbers.imag.any() else numbers.real

@@ -1,6 +1,7 @@
 """Interface of every board: frames, identity, counts; and frames over interruptions."""
 
 import math
+import re
 import time
 from abc import ABC, abstractmethod
 from collections import deque
@@ -240,6 +241,7 @@ class Connection:
                 return pause
 
     def _notice(self, problem: str) -> None:
-        if problem != self.problem:
-            self.problem = problem
+        kinds = [re.sub(r"[\d.]+|;.*", "", each, flags=re.S) for each in (problem, self.problem)]
+        self.problem = problem  # the newest line that came is another one each time
+        if kinds[0] != kinds[1]:
             self.tell(problem or "the board is back")

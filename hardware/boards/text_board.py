@@ -46,6 +46,7 @@ class TextBoard(PortBoard[FrameLines]):
         mark: str = "",
         pause: float = math.nan,
         frequency: float = 40e3,
+        skip: int = 0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Open the port.
@@ -59,10 +60,11 @@ class TextBoard(PortBoard[FrameLines]):
             pause: shortest pause between frames [s]; three times the usual interval of lines when
                 NaN.
             frequency: excitation frequency where the lines do not give it [Hz].
+            skip: numbers before the measurements of a line, such as a time.
             clock: time that pauses and silence are measured by [s].
         """
         self.protocol, self._frequency = protocol, frequency
-        self._decoder = LineDecoder(mark, len(protocol))
+        self._decoder = LineDecoder(mark, len(protocol), skip)
         self._finder = FrameFinder(len(protocol), bool(mark.strip()), pause)
         self._session = 0
         self._begun = math.nan
@@ -135,7 +137,8 @@ class TextBoard(PortBoard[FrameLines]):
             received = (
                 f"the last line that was not read has {count} numbers where the protocol has "
                 f"{len(self.protocol)} measurements: '{shorten_text(unread.decode())}'; text: "
-                "reads one measurement a line, or all of a frame: correct protocol="
+                "reads one measurement a line, or all of a frame: correct protocol=, or leave "
+                "numbers before them out by skip="
             )
         elif newest := self._decoder.newest[:MAX_LINE]:
             received += f"; the last line was {quote_value(newest.decode(errors='replace'))}"
@@ -176,6 +179,7 @@ def open_text(
     mark: str = "",
     pause: float = math.nan,
     frequency: float = 40e3,
+    skip: int = 0,
 ) -> TextBoard:
     """Open a board that prints lines, at the serial port `path` or the USB device `usb`.
 
@@ -188,7 +192,7 @@ def open_text(
             f"{uri}: a board of text does not say what it measures; add protocol=, such as "
             "text:/dev/ttyACM0?protocol=pairwise:8"
         )
-    if pause <= 0.0 or frequency <= 0.0:
-        raise ConfigurationError(f"{uri}: pause and frequency must be positive")
+    if pause <= 0.0 or frequency <= 0.0 or skip < 0:
+        raise ConfigurationError(f"{uri}: pause, frequency and skip must be positive")
     measured = Protocol.from_name(protocol)
-    return TextBoard(connector(path, uri, baud, usb), uri, measured, mark, pause, frequency)
+    return TextBoard(connector(path, uri, baud, usb), uri, measured, mark, pause, frequency, skip)

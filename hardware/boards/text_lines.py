@@ -22,7 +22,7 @@ from typing import Any
 
 MAX_LINE = 256
 """Longest line with one measurement [bytes]; the programs print less than half as many."""
-BYTES_PER_VALUE = 32
+BYTES_PER_VALUE = 64
 """Most bytes of a value in a line of many."""
 
 _NUMBER = (
@@ -47,8 +47,16 @@ _CARTESIAN = re.compile(
 _FREQUENCY_ALONE = re.compile(_FREQUENCY, re.IGNORECASE)
 
 
-_PREFIX = re.compile(rb"[a-z_|$][\w |.-]*[:=]|[\d:.,]+ ->|\d{1,4}(?:-\d{1,4})?:", re.IGNORECASE)
-"""Label of a line, the time that a terminal puts there, or the number of a measurement."""
+_PREFIX = re.compile(
+    rb"(?:\[[^\]]*\d:\d\d[^\]]*\]|[\dT:., -]+ ->)?\s*"
+    rb"(?:[a-z_|$][\w |.-]*(?:[(\[][^)\]]*[)\]]\s*)?[:=]|"
+    rb"[$<]?(?!nan|inf)[a-z_]+[,;]|\d{1,4}(?:-\d{1,4})?:)?",
+    re.IGNORECASE,
+)
+"""Time that a terminal puts there, and a label, or the number of a measurement."""
+_SUFFIX = re.compile(rb"(?:[,;]\s*(?:[a-z]|end|stop)|\*[\da-f]{2})$", re.IGNORECASE)
+"""Word or checksum behind the numbers."""
+_NAMES = re.compile(rb"(?<![\w.])(?:[a-z_]+\d+\s*[=:]|\d{1,4}:)", re.IGNORECASE)
 _UNITS = re.compile(rb"(?<=[\d. ])(k?)ohms?\b", re.IGNORECASE)
 _NOT_FINITE = re.compile(rb"(?<![\w\"])[+-]?(?:nan|inf(?:inity)?)\b", re.IGNORECASE)
 _PARTS = (("real", "imag"), ("re", "im"), ("magnitude", "phase"), ("mag", "phase"))
@@ -97,12 +105,14 @@ class LineDecoder:
         newest: newest line of all, and `unread` where it is no measurement.
     """
 
-    def __init__(self, mark: str = "", size: int = 0) -> None:
+    def __init__(self, mark: str = "", size: int = 0, skip: int = 0) -> None:
         """Take lines that begin with `mark` as beginnings of frames; no line when empty.
 
         Lines of `size` numbers are whole frames, and lines of one number, or of numbers that
         divide `size`, parts of one. No part counts after a line with more: it would be a rest.
+        The first `skip` numbers of a line, such as a time, are left out.
         """
+        self._skip = skip
         self._size, self._longest = size, max(MAX_LINE, BYTES_PER_VALUE * size)
         self._most = 1
         self.unread = self.newest = b""
@@ -174,6 +184,7 @@ class LineDecoder:
     def _read_values(self, text: bytes, cut: bool) -> FrameLine | None:
         """Frame, or part of one, in a line of numbers; None for another line, which is dropped."""
         values = [] if cut or not self._size else parse_values(text, self._size)
+        values = values[self._skip :]
         count = len(values)
         if count < self._most or self._size % count or (count == 1 and b"," in text):
             self.drops[LineDrop.UNKNOWN] += 1
@@ -189,12 +200,16 @@ def parse_values(text: bytes, size: int = 0) -> list[complex]:
     None where there are other words. JSON has one list, lists of two parts of `size` complex
     numbers, or a number for each of `size` names that end in digits.
     """
-    with suppress(ValueError, RecursionError):
-        if isinstance(read := json.loads(_NOT_FINITE.sub(b"null", text)), list | dict):
-            return _row_values(read, size)
-    body = _PREFIX.sub(b"", text, count=1).strip(b" ,;|[](){}")
-    factor = 1e3 if all(unit for unit in _UNITS.findall(body) or [b""]) else 1.0
-    body = re.sub(rb"[a-z_]+\d+=", b"", _UNITS.sub(b"", body), flags=re.IGNORECASE)
+    for mark in (b'"', b"'"):  # as Python prints it
+        with suppress(ValueError, RecursionError):
+            read = json.loads(_NOT_FINITE.sub(b"null", text).replace(mark, b'"'))
+            if isinstance(read, list | dict):
+                return _row_values(read, size)
+    label = _PREFIX.match(text)
+    body = _SUFFIX.sub(b"", text[label.end() if label else 0 :].strip(b" ,;|[](){}<>"))
+    units = _UNITS.findall(body) or [b"k" * (label is not None and b"kohm" in label[0].lower())]
+    factor = 1e3 if all(units) else 1.0
+    body = _NAMES.sub(b"", _UNITS.sub(b"", body))
     if re.search(rb"\d,\d+(?:[;|]| (?!,))", body) and b"." not in body:
         body = body.replace(b",", b".")
     try:
@@ -207,18 +222,31 @@ def parse_values(text: bytes, size: int = 0) -> list[complex]:
 def _row_values(read: Any, size: int) -> list[complex]:
     """Numbers in JSON of a line."""
     members = {"": read} if isinstance(read, list) else read
-    named = [v for key, v in members.items() if isinstance(v, int | float) and key[-1:].isdigit()]
+    inner = [value for value in members.values() if isinstance(value, dict)]
+    if len(inner) == 1 and not any(isinstance(value, list) for value in members.values()):
+        return _row_values(inner[0], size)
+    named = [_cell(v) for key, v in members.items() if key[-1:].isdigit()]
     lists = {
-        key.casefold(): [v if isinstance(v, int | float) else math.nan for v in values]
+        key.casefold(): [_cell(v) for v in values]
         for key, values in members.items()
         if isinstance(values, list)
     }
     for first, second in _PARTS:
         if {first, second} <= set(lists):
             pairs = zip(lists[first], lists[second], strict=True)
-            return [_from_polar(*p) if second == "phase" else complex(*p) for p in pairs]
+            parts = [(one.real, other.real) for one, other in pairs]
+            return [_from_polar(*p) if second == "phase" else complex(*p) for p in parts]
     chosen = [each for each in lists.values() if len(each) == size] or list(lists.values())
     return list(map(complex, chosen[0] if len(chosen) == 1 else named))
+
+
+def _cell(value: Any) -> complex:
+    """Number in JSON, also as text or as a list of real and imaginary part; NaN for another."""
+    if isinstance(value, list) and len(value) == 2:
+        return complex(_cell(value[0]).real, _cell(value[1]).real)
+    with suppress(ValueError, TypeError, OverflowError):
+        return complex(value)
+    return complex(math.nan)
 
 
 def _finite(value: complex) -> complex:

@@ -117,7 +117,8 @@ def train_layers(
         return Samples(locate_samples if placed else shown, len(targets))
 
     network = seeded_network(lambda: layer_network(layers), seed)
-    network = network.to(memory_format=torch.channels_last)  # convolutions are half as long
+    # Convolutions take half as long.
+    network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     fitted = samples(*frames, settings.noise * np.asarray(noise), flips)
     unseen = None if validation is None else samples(*validation, 0.0)
     batch, count = fitted.batch, fitted.count
