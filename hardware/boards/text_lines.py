@@ -47,13 +47,14 @@ _CARTESIAN = re.compile(
 _FREQUENCY_ALONE = re.compile(_FREQUENCY, re.IGNORECASE)
 
 
+_TIME = re.compile(rb"\[[^\]]*\d:\d\d[^\]]*\]\s*|[\dT:., -]+ ->\s*")
+"""Time that a terminal puts before a line."""
 _PREFIX = re.compile(
-    rb"(?:\[[^\]]*\d:\d\d[^\]]*\]|[\dT:., -]+ ->)?\s*"
     rb"(?:[a-z_|$][\w |.-]*(?:[(\[][^)\]]*[)\]]\s*)?[:=]|"
     rb"[$<]?(?!nan|inf)[a-z_]+[,;]|\d{1,4}(?:-\d{1,4})?:)?",
     re.IGNORECASE,
 )
-"""Time that a terminal puts there, and a label, or the number of a measurement."""
+"""Label of a line, or the number of a measurement."""
 _SUFFIX = re.compile(rb"(?:[,;]\s*(?:[a-z]|end|stop)|\*[\da-f]{2})$", re.IGNORECASE)
 """Word or checksum behind the numbers."""
 _NAMES = re.compile(rb"(?<![\w.])(?:[a-z_]+\d+\s*[=:]|\d{1,4}:)", re.IGNORECASE)
@@ -200,6 +201,8 @@ def parse_values(text: bytes, size: int = 0) -> list[complex]:
     None where there are other words. JSON has one list, lists of two parts of `size` complex
     numbers, or a number for each of `size` names that end in digits.
     """
+    if time := _TIME.match(text):
+        text = text[time.end() :]
     for mark in (b'"', b"'"):  # as Python prints it
         with suppress(ValueError, RecursionError):
             read = json.loads(_NOT_FINITE.sub(b"null", text).replace(mark, b'"'))

@@ -335,6 +335,13 @@ def test_a_line_may_be_a_frame_but_the_end_of_one_is_none(form):
         ("1,5 2,5", [1.5, 2.5]),
         ("1.5 kOhm;2 kOhm;", [1500, 2000]),
         ("1.5, 2, oops", []),
+        ("$EIT,1.5,2*5A", [1.5, 2]),
+        ("S,1.5,2,E", [1.5, 2]),
+        ("<0:1.5 1:2>", [1.5, 2]),
+        ("Z (kOhm): 1.5 | 2", [1500, 2000]),
+        ("2026-11-23 14:05:00.1 -> {'z': ['1.5', [2, 3]]}", [1.5, 2 + 3j]),
+        ('{"frame": {"values": [1.5, 2]}}', [1.5, 2]),
+        ("nan, 2", [complex(math.nan, math.nan), 2]),
     ],
 )
 def test_a_line_has_other_numbers_of_a_frame(text, values):
