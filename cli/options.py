@@ -50,8 +50,8 @@ _UnusedSeed = Annotated[int, typer.Option("--seed", hidden=True)]
 _BOARD = typer.Option(
     "--board",
     metavar="URI",
-    help="serial: (the only USB port), serial:PORT, text:PORT?protocol=..., virtual: (simulated) "
-    "or replay:DIRECTORY. `eitskin ports` lists the ports.",
+    help="Board: serial: (the only USB port), serial:PORT, text:PORT?protocol=..., virtual: "
+    "(simulated) or replay:DIRECTORY. `eitskin ports` lists the ports.",
 )
 BoardOption = Annotated[str | None, _BOARD]
 Specimen = Annotated[int, typer.Option(min=0, help="Number of the specimen in the dataset.")]
@@ -81,7 +81,9 @@ MechanicsFile = Annotated[
 FixtureFile = Annotated[
     Path | None, typer.Option(help="Fixture file: the clamp, hinge or arc that bends the sensor.")
 ]
-Pairs = Annotated[str, typer.Option(help="pairwise, adjacent, opposite, skip:N, or a CSV file.")]
+Pairs = Annotated[
+    str, typer.Option(help="Protocol: pairwise, adjacent, opposite, skip:N, FILE.csv.")
+]
 MeasuredPairs = Annotated[
     str | None,
     typer.Option(

@@ -22,13 +22,11 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Measure errors and run times.", no_args_is_help=True)
 
 Out = Annotated[Path, typer.Option(help="Folder of all results; each benchmark has one in it.")]
-Quick = Annotated[bool, typer.Option("--quick", help="Fewer and smaller cases, for a look.")]
+Quick = Annotated[bool, typer.Option("--quick", help="Run fewer and smaller cases.")]
 Workers = Annotated[int, typer.Option(min=1, help="Number of worker processes.")]
 Presets = Annotated[
     list[str] | None,
-    typer.Option(
-        "--preset", help="ridge, mlp, extra-trees, greit or quick; may be given several times."
-    ),
+    typer.Option("--preset", help="Baseline: ridge, mlp, extra-trees, greit or quick. Repeatable."),
 ]
 Methods = Annotated[
     list[str] | None,
@@ -283,10 +281,10 @@ def run_all(
     quick: Quick = False,
     long: Annotated[
         bool,
-        typer.Option("--long", help="Also benchmarks of more than ten minutes, hours in all."),
+        typer.Option("--long", help="Also run the benchmarks that take more than ten minutes."),
     ] = False,
     fresh: Annotated[
-        bool, typer.Option("--fresh", help="Repeat also what is measured already.")
+        bool, typer.Option("--fresh", help="Measure again what is already measured.")
     ] = False,
     data: Annotated[
         Path | None,

@@ -34,7 +34,7 @@ def command(
     ] = "real",
     instrument: Annotated[
         str | None,
-        typer.Option(help="ideal, ad5940, or an instrument file; white noise when omitted."),
+        typer.Option(help="Board: ideal, ad5940, or an instrument file; white noise when omitted."),
     ] = None,
     period: Annotated[
         float | None,

@@ -55,7 +55,7 @@ def fit_instrument(
     ] = None,
     reads: Annotated[
         Literal["complex", "signed", "magnitude"] | None,
-        typer.Option(help="What the board reads; as the values look if omitted."),
+        typer.Option(help="Kind of the readings; detected if omitted."),
     ] = None,
     resolution: options.Detail = "coarse",
     seed: int = 0,

@@ -61,7 +61,7 @@ def command(
         ),
     ] = None,
     touch_reference: Annotated[
-        str | None, typer.Option(help="The same for frames just before a touch.")
+        str | None, typer.Option(help="Values just before each touch, named as those of --values.")
     ] = None,
     rows: Annotated[
         Literal["frames", "before-during", "during-before"],
@@ -84,7 +84,7 @@ def command(
         typer.Option(help="Unit of x, y, depth and radius in the file."),
     ] = "m",
     origin: Annotated[
-        str, typer.Option(help="Where x and y count from: corner, centre, or X,Y in metres.")
+        str, typer.Option(help="Origin of x and y: corner, centre, or X,Y in metres.")
     ] = "corner",
     quantity: Annotated[
         Literal["impedance", "magnitude", "voltage"] | None,
@@ -96,7 +96,7 @@ def command(
     frequency: Annotated[float, typer.Option(help="Frequency of the excitation, in hertz.")] = 40e3,
     bad_values: Annotated[
         Literal["refuse", "mark", "drop"],
-        typer.Option(help="What to do with empty or non-finite values; drop leaves out frames."),
+        typer.Option(help="Treatment of empty or non-finite values; drop leaves out frames."),
     ] = "refuse",
     phase_unit: Annotated[
         Literal["deg", "rad"] | None,
@@ -108,22 +108,22 @@ def command(
     ] = None,
     differences: Annotated[
         bool,
-        typer.Option("--differences", help="Values are differences from --touch-reference."),
+        typer.Option("--differences", help="Take values as differences from --touch-reference."),
     ] = False,
     order: Annotated[
         Literal["given", "rotated", "reversed", "sense-first"] | None,
         typer.Option(help="Order of readings; rotated: senses start behind each drive pair."),
     ] = None,
     transpose: Annotated[
-        bool, typer.Option("--transpose", help="Frames are columns of the values, not rows.")
+        bool, typer.Option("--transpose", help="Take columns of the values as frames, not rows.")
     ] = False,
     patterns: Annotated[
         str | None,
         typer.Option(help="DRIVE,SENSE: matrices of patterns in the file, instead of a protocol."),
     ] = None,
-    sheet: Annotated[str | None, typer.Option(help="Sheet of an Excel file; the first.")] = None,
+    sheet: Annotated[str | None, typer.Option(help="Sheet of an Excel file, or the first.")] = None,
     header_row: Annotated[
-        int | None, typer.Option(help="Row of the columns' names, from 1; found where omitted.")
+        int | None, typer.Option(help="Row of the columns' names, from 1; detected if omitted.")
     ] = None,
     output: Output,
 ) -> None:

@@ -38,7 +38,7 @@ def command(
         typer.Option("--method", help="Method of reconstruction."),
     ] = "greit",
     rule: Annotated[
-        str, typer.Option("--lambda", help="noise-figure:1, snr:100, gcv, or lambda:0.01.")
+        str, typer.Option("--lambda", help="Rule: noise-figure:1, snr:100, gcv, or lambda:0.01.")
     ] = "noise-figure:1",
     difference: Annotated[
         Literal["relative", "absolute"] | None,
@@ -55,7 +55,7 @@ def command(
     resolution: options.Detail = "fast",
     out: Annotated[
         Path | None,
-        typer.Option(help="Picture (.png), or values with their positions (.npz, .csv)."),
+        typer.Option(help="Image (.png), or values with their positions (.npz, .csv)."),
     ] = None,
     page: PageOptions,
     seed: int = 0,

@@ -121,7 +121,7 @@ class FrameOptions:
     protocol: options.MeasuredPairs = None
     frames: Annotated[
         str | None,
-        typer.Option("--frames", help="Frames of a dataset, as 0,5,10-12; of a board, how many."),
+        typer.Option("--frames", help="Frames of a dataset, as 0,5,10-12, or number for a board."),
     ] = None
     reference: Annotated[
         str,
@@ -137,7 +137,7 @@ class FrameOptions:
     ] = None
     average: Annotated[
         int,
-        typer.Option(min=1, help="First frames of a board, untouched, that make its reference."),
+        typer.Option(min=1, help="Number of first, untouched frames that are the reference."),
     ] = 16
 
     def read(

@@ -35,12 +35,12 @@ def command(
     ] = None,
     support: Annotated[
         str | None,
-        typer.Option(help="rigid, plates or free, instead of the scene's or the sensor's."),
+        typer.Option(help="Support, rigid, plates or free, instead of the scene's."),
     ] = None,
     view: Annotated[Path | None, typer.Option(help="Draw the scene into this PNG file.")] = None,
     color: Annotated[
         Literal["conductance", "strain", "current"] | None,
-        typer.Option(help="Quantity that colours the picture."),
+        typer.Option(help="Quantity that colours the image."),
     ] = None,
     drive: Annotated[
         str | None,

@@ -32,7 +32,7 @@ def command(
         bool,
         typer.Option(
             "--mounted",
-            help="The sensor is mounted on a curved body: its present shape is the reference.",
+            help="Take the present shape of a sensor on a curved body as the reference.",
         ),
     ] = False,
     method: options.MethodCode = None,

@@ -36,7 +36,7 @@ AUTO = "auto"
 def command(
     dataset: Annotated[Path, typer.Argument(help="Dataset, from eitskin generate or import.")],
     *,
-    out: Annotated[Path, typer.Option(help="Where to save the pipeline, NAME.eitmodel.")],
+    out: Annotated[Path, typer.Option(help="File of the trained pipeline, NAME.eitmodel.")],
     epochs: Annotated[
         int | None, typer.Option(min=1, help="Passes over the frames, instead of the preset's.")
     ] = None,

@@ -57,7 +57,7 @@ def command(
     options: SetupOptions,
     no_prompt: Annotated[
         bool,
-        typer.Option("--no-prompt", help="Ask nothing: for a virtual: board."),
+        typer.Option("--no-prompt", help="Ask nothing; only with a virtual: board."),
     ] = False,
     replace: Replace = False,
     seed: int = 0,
