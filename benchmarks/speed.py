@@ -192,7 +192,7 @@ def rate(workload: Workload, count: int, pool: ProcessPoolExecutor) -> Rate:
 
 
 def signal_errors(workload: Workload) -> Array:
-    """Relative errors of the signals of some scenes, (JUDGED,)."""
+    """Relative errors of the signals of some scenes, (`JUDGED_SCENES`,)."""
     judged = dataclasses.replace(workload, name="", specimens=False)
     few = judged.electrodes == len(SensorDesign.reference().electrodes) and not judged.disc
     finest: Resolution = "fine" if few else "standard"
@@ -208,7 +208,7 @@ def _true_signals(workload: Workload) -> Array:
 
 
 def _signals(workload: Workload) -> Array:
-    """Signals of the tested scenes' touches, or of bends without, [ohm], (JUDGED, measurements)."""
+    """Signals of the tested scenes' touches, or of bends without, [ohm]."""
     some = scenes(workload, JUDGED_SCENES, 99)
     others = [
         Scene(scene.bend if scene.touches else Bend(0.0), support=scene.support) for scene in some

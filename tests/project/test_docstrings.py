@@ -14,6 +14,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from project.test_words import house_words
 
 PACKAGES = ("geometry", "simulator", "datasets", "training", "hardware")
 ARRAY = re.compile(r"ndarray|NDArray|ArrayLike")
@@ -149,6 +150,7 @@ def test_docstrings_begin_with_a_line_and_no_sentence_with_of_or_what(room):
             assert not SENTENCE_BY_OF_OR_WHAT.search(text), (path, text)
         for text in docstrings(path) if room != "docs" else ():
             assert not text or re.search(r"[.:!?]$", text.splitlines()[0]), (path, text)
+            assert not house_words(re.sub(r"`[^`]*`", "", text)), (path, text)
 
 
 PARTICIPLE = re.compile(

@@ -1,4 +1,4 @@
-"""House words stay out of pages and help: each has a word that readers know."""
+"""House words stay out of pages, help and docstrings: each has a word that readers know."""
 
 import re
 from pathlib import Path
@@ -22,7 +22,7 @@ WORDS = {
     r"of (?:one|somebody)'s own": "custom, your",
     r"knows no|by heart": "does not use, overfits",
     r"plain twin": "reference implementation",
-    r"rooms|hall": "package, module",
+    r"rooms|(?-i:hall)": "package, module",
     r"a fault of eitskin": "a bug in eitskin",
     r"other hands|judged|judges?": "independent, tested",
     r"beside": "next to, compared with, besides",
