@@ -70,6 +70,7 @@ from eitskin.training.method.targets import Targets, TrainingFrames
 Array = NDArray[np.float64]
 
 NETWORKS = ("response", "proposals", "angles")  # parts whose learning curves are stored
+FURTHER_DEG = 15.0  # to a second direction of bends, which has their curvature
 MOVED_DEG = 1.0  # by which a fit must differ from its flat reference to need a second one
 
 
@@ -199,10 +200,13 @@ class JointMethod(Method):
     def motions(self, observations: Observations, predictions: Predictions) -> Array:
         found, angle = predictions.touches[0], float(np.nan_to_num(predictions.bend_angle_deg[0]))
         touches = np.column_stack([found.place, found.force if self.forces else found.strength])
-        response = self._specimen(observations.flat[0]).response
-        changes = response.with_derivatives(np.ascontiguousarray(touches), angle)[1:]
+        specimen = self._specimen(observations.flat[0])
+        changes = specimen.response.with_derivatives(np.ascontiguousarray(touches), angle)[1:]
         changes[2] *= touches[:, 2:]
-        return changes.reshape(-1, changes.shape[-1]) @ self.combinations.back
+        bends = [angle, angle + FURTHER_DEG] if self.bend_prior.bends else []
+        slopes = np.reshape([specimen.curve.slope(each) for each in bends], (-1, changes.shape[-1]))
+        moved = np.concatenate([changes.reshape(-1, changes.shape[-1]), slopes])
+        return moved @ self.combinations.back
 
     def _predict(self, frame: Observations) -> Predictions:
         """Predictions for one frame.

@@ -240,10 +240,11 @@ class Method(ABC):
         observations: Observations,
         predictions: Predictions,  # noqa: ARG002  of use to methods that know a response
     ) -> Array:
-        """Changes of dV (3 k, C) by motions of the first frame's k touches.
+        """Changes of dV (3 k + b, C) by motions of the first frame's k touches, and by bends.
 
-        By a motion of each along x and along y, of any sizes, and by its whole force. Frames of a
-        touch that moves so are not averaged. None by default.
+        By a motion of each touch along x and along y, of any sizes, and by its whole force; then by
+        a bend of any size in b directions, 0 to 2. Frames of a touch that moves so are not
+        averaged, and one that only a bend hides is not lost. None by default.
         """
         return np.zeros((0, observations.static.shape[1]))
 

@@ -25,6 +25,7 @@ MIN_WEIGHT, MAX_WEIGHT = 1 / 16, 4.0
 """Of a frame, in frames with the noise of training; beyond the largest the model's errors grow."""
 WEIGHTS = 4  # steps of weights in a factor of two, so that what follows from one stays known
 JUMPS = 5.0  # times the noise of training; what scatters more has jumped
+RISE = 3.0  # times the variance so far; what touched frames scatter more may be their touches
 MOTION = 5.0  # standard deviations of the mean square that distinguish motion from noise
 
 
@@ -86,6 +87,8 @@ class HeldTouch:
         default_factory=lambda: deque(maxlen=MAX_HELD_FRAMES)
     )
     _scatter: deque[float] = field(default_factory=lambda: deque(maxlen=NOISE_FRAMES))
+    _latest: float = 0.0  # scatter of the latest three frames
+    _touched: deque[bool] = field(default_factory=lambda: deque(maxlen=3))
     _speed: float = 0.0  # of the latest motion: its statistic over its limit and over weight
     _moving: float = MOVING  # probability of motion in the latest frames
 
@@ -104,11 +107,7 @@ class HeldTouch:
         if len(self._changes) >= 2:  # neither offset nor slope is left in this difference
             bent = self._changes[-1] - 0.5 * (self._changes[-2] + change)
             finite_angles = bent[np.isfinite(bent)]
-            scatter = float(finite_angles @ finite_angles) / (1.5 * max(len(finite_angles), 1))
-            if 0.0 < scatter < (JUMPS * self.noise) ** 2:
-                self._scatter.append(scatter)
-                expected = [0.5 * self.noise**2] * MIN_SCATTERS
-                self.variance = median([*self._scatter, *expected])
+            self._latest = float(finite_angles @ finite_angles) / (1.5 * max(len(finite_angles), 1))
         self._changes.append(change)
         if not held:
             self.set_frames([])
@@ -116,6 +115,19 @@ class HeldTouch:
         count = self._least_error(min(self._still(), most))
         mean: Voltages = np.mean(list(self._frames)[-count:], axis=0)
         return np.where(np.isfinite(mean) | ~np.isfinite(V), mean, V), count
+
+    def settle(self, touched: bool) -> None:
+        """Take the latest frame for touched or not; three alike, or any at first, show the noise.
+
+        Touches that come and go, or jump, scatter as well.
+        """
+        self._touched.append(touched)
+        first, alike = not self.is_noise_known, len(set(self._touched)) == 1
+        most = RISE * self.variance if touched and not first else (JUMPS * self.noise) ** 2
+        if (first or alike) and 0.0 < self._latest < most:
+            self._scatter.append(self._latest)
+            self._latest, expected = 0.0, [0.5 * self.noise**2] * MIN_SCATTERS
+            self.variance = median([*self._scatter, *expected])
 
     def set_frames(self, frames: list[Voltages]) -> None:
         """Take these for the latest frames of the touch; none before a touch."""
@@ -146,10 +158,14 @@ class HeldTouch:
         return min(max(quiet, MIN_WEIGHT), MAX_WEIGHT)
 
     @property
+    def is_noise_known(self) -> bool:
+        """Whether enough frames have shown the noise of this session."""
+        return len(self._scatter) > MIN_SCATTERS
+
+    @property
     def still(self) -> float:
         """Rms relative difference of two frames of a still sensor in this session, at most."""
-        has_scatter = len(self._scatter) > MIN_SCATTERS
-        return math.sqrt(2.0 * self.variance) if has_scatter else LOUDEST * self.noise
+        return math.sqrt(2.0 * self.variance) if self.is_noise_known else LOUDEST * self.noise
 
     def __post_init__(self) -> None:
         """No frame so far."""

@@ -323,6 +323,10 @@ class Pipeline:
             if first:
                 session.begin()
             raise
+        if not perceived.is_touched(self.targets) and (
+            carried := session.carry(voltages, observed)
+        ):
+            perceived, observed = self.method.predict(carried), carried
         perceived = session.with_lag(perceived)
         if (touched := perceived.is_touched(self.targets)) or not first:
             along = self.method.motions(observed, perceived) if touched else None

@@ -29,6 +29,7 @@ COMMON = 0.3  # spread of the channels over their mean, below which they change 
 LINGERING, MOST_REST = 4.0, 2.0
 """Twice the log odds against a touch that was there, from which it has gone, and the most that it
 may leave unexplained, in variances."""
+LEAST_BEND = 25.0  # square of a change by a bend that may hide touches, in variances
 MIN_EARLIER = 2  # frames of the untouched sensor that an onset is reported from
 # probability of a touch from which a frame does not renew the references
 SUSPICION_PROBABILITY = 1e-3
@@ -103,7 +104,8 @@ class Session:
         self._earlier.clear()
         self._phases, self._turned = Phases(), None
         self._onset, self._frames, self._lingers = 1, 1, False
-        self._forces, self._places = np.zeros((0, 0)), np.zeros((0, 2))
+        self._forces, self._bends, self._places = (np.zeros((0, n)) for n in (0, 0, 2))
+        self._anchor = np.zeros(0, np.complex128)
         self._odds = np.zeros(0)
         self.touched, self._suspected, self._outdated, self.doubt = False, False, False, ""
         self._age_at_start = 0.0 if self.stored is None else STORED_AGE
@@ -274,18 +276,21 @@ class Session:
             touched: whether it is.
             chance: probability that it is; where it may be, references wait, and the next frame is
                 weighed together with it.
-            directions: directions of changes by a motion of its touches along x, along y, and by
-                all of their forces (3 touches, measurements).
+            directions: directions of changes by a motion of its touches along x, along y, by all
+                of their forces, and by bends; see `Method.motions`.
         """
         if directions is not None:
-            self._forces = directions[-(len(directions) // 3) :]
-            self._odds = np.zeros(len(self._forces))
+            count = len(directions) // 3
+            directions, self._bends = np.split(directions, [3 * count])
+            self._forces, self._anchor = directions[2 * count :], voltages
+            self._odds = np.zeros(count)
         elif not touched:
             self._lingers = self._may_linger(voltages)
         started, self.touched = not self._suspected and self._onset > 1, touched
         self._suspected = touched or (
             self.averages and (chance > SUSPICION_PROBABILITY or self._lingers)
         )
+        self._held.settle(touched)
         if directions is not None or not self._suspected:
             self._held.directions = np.zeros((0, 0)) if directions is None else directions
         if self._suspected and started:
@@ -331,6 +336,38 @@ class Session:
         lingers = (self._odds > -LINGERING) & (rest < MOST_REST * len(change) * variance)
         self._forces, self._odds = self._forces[lingers], self._odds[lingers]
         return bool(lingers.any())
+
+    def carry(self, voltages: Voltages, observed: Observations) -> Observations | None:
+        """Observations of a frame whose touches are there yet, though a bend hides them.
+
+        The change since the latest touched frame tells, whatever the bend curve is: it is one by a
+        bend, and by none of the touches. The dynamic reference then is that frame without its touches, and so bent. None otherwise.
+        """
+        if not (self.touched and len(self._bends) and self._held.is_noise_known):
+            return None
+        change = relative_difference(voltages, self._anchor)
+        good, variance = np.isfinite(change), 2.0 * self._held.variance
+        both, bends = np.vstack([change[good], self._forces[:, good]]), self._bends[:, good]
+        shares = np.linalg.lstsq(bends.T, both.T)[0].T
+        bent = shares[0] @ bends
+        rest, *along = both - shares @ bends
+        size = np.einsum("kc,kc->k", along, along)
+        stays = size + 2.0 * np.array(along) @ rest  # twice the log odds, in variances
+        if (
+            bent @ bent < LEAST_BEND * variance
+            or rest @ rest > MOST_REST * len(rest) * variance
+            or np.any(stays < LINGERING * variance)
+        ):
+            return None
+        moved = self._anchor * (1.0 - self._forces.sum(axis=0)) * (1.0 + shares[0] @ self._bends)
+        self.dynamic.restart(moved)
+        return replace(
+            observed,
+            static=relative_difference(voltages, self.static.mean)[None],
+            dynamic=relative_difference(voltages, moved)[None],
+            frames=np.asarray(self._held.weight)[None],
+            dynamic_frames=np.asarray(self._held.weight)[None],
+        )
 
     def problems(self, labels: tuple[str, ...]) -> tuple[str, ...]:
         """Faults of the references in words; `labels` are those of the measurements."""

@@ -160,6 +160,32 @@ def test_a_faint_touch_is_told_by_its_frames_together(simulator):
     assert set(said[8:]) == {State.TOUCH}
 
 
+@pytest.mark.parametrize("free", [0, 1])
+def test_taps_of_one_frame_each_are_found(session, free):
+    """The changes by touches are not taken for noise of the board."""
+    rng, bend = np.random.default_rng(5), Bend(15.0)
+    session(Scene(bend))
+    for x, y, force in rng.uniform((0.02, 0.012, 6.0), (0.13, 0.048, 12.0), (12, 3)):
+        said = session(Scene(bend, (Touch(x, y, force),)))
+        assert said.problems or assert_touched(said, (x, y)) is None
+        for _ in range(free):
+            assert session(Scene(bend)).state is not State.TOUCH
+
+
+@pytest.mark.slow
+def test_a_held_touch_is_not_lost_while_the_sensor_bends(simulator):
+    """The board is loud, and bends hide the touch in every frame by itself."""
+    session, rng = Session(simulator), np.random.default_rng(3)
+    scenes = [Scene()] * 4 + [
+        Scene(Bend(float(angle)), (Touch(0.05, 0.02, 8.0),)) for angle in range(0, 41, 2)
+    ]
+    for scene in scenes:
+        V = simulator.measure(scene).impedance
+        said = session(scene, impedance=V * (1.0 + 3e-4 * rng.standard_normal(V.shape)))
+        if scene.touches:
+            assert_touched(said, (0.05, 0.02))
+
+
 def test_a_capacitance_across_electrodes_is_told_by_phases(session):
     flat = session.simulator.measure(Scene(), Instrument(), session.rng).impedance
     leaking = flat / (1.0 + 0.02j * (np.arange(len(flat)) == 5))
