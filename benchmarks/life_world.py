@@ -174,6 +174,15 @@ def _tap(sensor: Sensor) -> Stream:
     return sensor.stream(matrices, rows)
 
 
+def _taps(sensor: Sensor) -> Stream:
+    """Touches of one frame each, with an untouched frame after every other."""
+    touches = np.stack([sensor.touches(1) for _ in range(HELD_FRAMES)])
+    matrices = np.array([sensor.solve_touches(touch) for touch in touches])
+    after = np.arange(2, HELD_FRAMES + 1, 2)
+    rows = np.insert(touches, after, np.nan, axis=0)
+    return sensor.stream(np.insert(matrices, after, sensor.flat, axis=0), rows)
+
+
 def _slide(sensor: Sensor, step: float) -> Stream:
     """A touch that slides along x by a step a frame [m]."""
     x, y, force = (*sensor.rng.uniform((0.020, 0.015), (0.070, 0.045)), sensor.rng.uniform(*FORCE))
@@ -238,6 +247,17 @@ def _bent_touch(sensor: Sensor) -> Stream:
     )
     matrices = np.concatenate([sensor.solve_angles(angles), pressed])
     return sensor.stream(matrices, rows, np.concatenate([angles, np.full(HELD_FRAMES, angle)]))
+
+
+def _touch_then_bend(sensor: Sensor) -> Stream:
+    """A touch that is held while the sensor bends at 3 deg a frame, then released."""
+    touch, largest = sensor.touches(1), sensor.rng.uniform(15.0, 40.0)
+    solved = np.array([sensor.solve_touches(touch, angle) for angle in ANGLES.tolist()])
+    angles = np.concatenate([np.zeros(3), np.arange(0.0, largest, 3.0), np.full(4, largest)])
+    released = np.repeat(sensor.solve_angles([largest]), 4, axis=0)
+    rows = np.where(np.arange(len(angles) + 4)[:, None, None] < len(angles), touch, np.nan)
+    matrices = np.concatenate([CubicSpline(ANGLES, solved)(angles), released])
+    return sensor.stream(matrices, rows, np.concatenate([angles, np.full(4, largest)]))
 
 
 def _contacts(sensor: Sensor, count: int, ohms: tuple[float, float]) -> Stream:
@@ -340,6 +360,8 @@ EVENTS: dict[str, Event] = {
     "step of the phase": Event(
         lambda s: _factor(s, np.exp(1j * np.radians(_draw_signed(s, 1.0, 5.0)))), False
     ),
+    "taps of one frame": Event(_taps),
+    "touched, then bent": Event(_touch_then_bend),
 }
 
 

@@ -47,6 +47,7 @@ from eitskin.training.joint.specimen_model import (
     AngleEstimate,
     SpecimenModel,
     candidate_rows,
+    mix_usual,
 )
 from eitskin.training.joint.touch_response import SpecimenResponse, TouchPrior, TouchResponse
 from eitskin.training.joint.training import fit_joint, held_out_touches
@@ -285,8 +286,14 @@ class JointMethod(Method):
         if abs(frame_fit.angle_deg) < MOVED_DEG:
             return frame_fit
         usual = fit(specimen.usual)
-        gain = frame_fit.estimate.improbability - usual.estimate.improbability
-        return usual if gain > -2.0 * LOG_ODDS else frame_fit
+        evidence = 0.5 * (frame_fit.estimate.improbability - usual.estimate.improbability)
+        by_other, by_usual = (
+            (each.angle_deg, each.angle_deviation_deg) for each in (frame_fit, usual)
+        )
+        share, angle, deviation = mix_usual(by_other, by_usual, evidence, LOG_ODDS)
+        likelier = usual if share > 0.5 else frame_fit
+        likelier.angle_deg, likelier.angle_deviation_deg = angle, deviation
+        return likelier
 
     def _prediction(
         self, found: FrameFit, bend: AngleEstimate, specimen: SpecimenModel

@@ -324,9 +324,9 @@ class Pipeline:
                 session.begin()
             raise
         if not perceived.is_touched(self.targets) and (
-            carried := session.carry(voltages, observed)
+            hidden := session.with_hidden(voltages, observed)
         ):
-            perceived, observed = self.method.predict(carried), carried
+            perceived, observed = self.method.predict(hidden), hidden
         perceived = session.with_lag(perceived)
         if (touched := perceived.is_touched(self.targets)) or not first:
             along = self.method.motions(observed, perceived) if touched else None

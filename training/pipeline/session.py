@@ -104,6 +104,7 @@ class Session:
         self._earlier.clear()
         self._phases, self._turned = Phases(), None
         self._onset, self._frames, self._lingers = 1, 1, False
+        self._hidden = False
         self._forces, self._bends, self._places = (np.zeros((0, n)) for n in (0, 0, 2))
         self._anchor = np.zeros(0, np.complex128)
         self._odds = np.zeros(0)
@@ -285,7 +286,7 @@ class Session:
             self._forces, self._anchor = directions[2 * count :], voltages
             self._odds = np.zeros(count)
         elif not touched:
-            self._lingers = self._may_linger(voltages)
+            self._lingers = self._hidden or self._may_linger(voltages)
         started, self.touched = not self._suspected and self._onset > 1, touched
         self._suspected = touched or (
             self.averages and (chance > SUSPICION_PROBABILITY or self._lingers)
@@ -298,7 +299,7 @@ class Session:
         if self._suspected:
             self._earlier.clear()
         if touched:
-            self._opening, self._lingers = False, False
+            self._opening, self._lingers, self._hidden = False, False, False
         elif not self._suspected:
             self.average(voltages)
             self._outdated, self._renewed = False, self._order.elapsed_time
@@ -337,13 +338,15 @@ class Session:
         self._forces, self._odds = self._forces[lingers], self._odds[lingers]
         return bool(lingers.any())
 
-    def carry(self, voltages: Voltages, observed: Observations) -> Observations | None:
+    def with_hidden(self, voltages: Voltages, observed: Observations) -> Observations | None:
         """Observations of a frame whose touches are there yet, though a bend hides them.
 
         The change since the latest touched frame tells, whatever the bend curve is: it is one by a
-        bend, and by none of the touches. The dynamic reference then is that frame without its touches, and so bent. None otherwise.
+        bend, and by none of the touches. The dynamic reference becomes that touched frame without
+        them, so bent. None otherwise.
         """
-        if not (self.touched and len(self._bends) and self._held.is_noise_known):
+        held, self._hidden = self.touched or self._hidden, False
+        if not (held and len(self._bends) and self._held.is_noise_known):
             return None
         change = relative_difference(voltages, self._anchor)
         good, variance = np.isfinite(change), 2.0 * self._held.variance
@@ -359,14 +362,17 @@ class Session:
             or np.any(stays < LINGERING * variance)
         ):
             return None
-        moved = self._anchor * (1.0 - self._forces.sum(axis=0)) * (1.0 + shares[0] @ self._bends)
-        self.dynamic.restart(moved)
+        reference = self._anchor * (1.0 - self._forces.sum(axis=0))
+        reference = reference * (1.0 + shares[0] @ self._bends)
+        self.dynamic.restart(reference)
+        self._hidden = True
+        weight = np.asarray(self._held.weight)[None]
         return replace(
             observed,
             static=relative_difference(voltages, self.static.mean)[None],
-            dynamic=relative_difference(voltages, moved)[None],
-            frames=np.asarray(self._held.weight)[None],
-            dynamic_frames=np.asarray(self._held.weight)[None],
+            dynamic=relative_difference(voltages, reference)[None],
+            frames=weight,
+            dynamic_frames=weight,
         )
 
     def problems(self, labels: tuple[str, ...]) -> tuple[str, ...]:
