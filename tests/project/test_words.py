@@ -10,7 +10,7 @@ from eitskin.cli.main import app
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
-PAGES = [p for p in PAGES if p.name != "architecture.md" and p.parent.name != "results"]
+PAGES = [p for p in PAGES if p.parent.name != "results"]
 WORDS = {
     r"told|tells?|telling": "is reported, shows, estimates, specifies, distinguishes",
     r"errs?": "has an error of",
