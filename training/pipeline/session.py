@@ -341,7 +341,7 @@ class Session:
     def with_hidden(self, voltages: Voltages, observed: Observations) -> Observations | None:
         """Observations of a frame whose touches are there yet, though a bend hides them.
 
-        The change since the latest touched frame tells, whatever the bend curve is: it is one by a
+        The change since the latest touched frame decides, whatever the bend curve is: it is one by a
         bend, and by none of the touches. The dynamic reference becomes that touched frame without
         them, so bent. None otherwise.
         """
