@@ -341,9 +341,9 @@ class Session:
     def with_hidden(self, voltages: Voltages, observed: Observations) -> Observations | None:
         """Observations of a frame whose touches are there yet, though a bend hides them.
 
-        The change since the latest touched frame decides, whatever the bend curve is: it is one by a
-        bend, and by none of the touches. The dynamic reference becomes that touched frame without
-        them, so bent. None otherwise.
+        The change since the latest touched frame decides, whatever the bend curve is: a bend makes
+        it, and none of the touches. The dynamic reference becomes that touched frame without them,
+        so bent. None otherwise.
         """
         held, self._hidden = self.touched or self._hidden, False
         if not (held and len(self._bends) and self._held.is_noise_known):
