@@ -8,17 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from command_line import printed_json
+from command_line import printed_json, run
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from typer.testing import CliRunner
 
 from eitskin.benchmarks.results import read_results
 from eitskin.benchmarks.stability import bends, electrical, solids
 from eitskin.benchmarks.stability import run as stability
 from eitskin.benchmarks.stability.case import Case, CaseValues, judge
 from eitskin.benchmarks.stability.random_designs import random_designs
-from eitskin.cli.main import app
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import ForwardModel
@@ -158,6 +156,5 @@ def test_the_command_writes_all_rows_and_ends_with_1_where_one_is_wrong(tmp_path
         assert [row["outcome"] for row in rows] == ["ok", "refused"]
     assert read_results(tmp_path / "stability" / "results.json").figures["family.error"] == 1e-5
     cases.append(failing(RuntimeError("oh")))
-    ran = CliRunner().invoke(app, [*words, "--json", "--quiet"])
-    assert ran.exit_code == 1
+    ran = run(*words, "--json", "--quiet", code=1)
     assert json.loads(ran.stdout)["figures"]["all.wrong"] == 1

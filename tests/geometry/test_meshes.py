@@ -1,15 +1,17 @@
 """Meshes of each kind of cell: they fill the body, fit the electrodes, are fine at their edges."""
 
 import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from eitskin.errors import ConfigurationError
 from eitskin.geometry import Disc, Electrode, Layer, Polygon, SensorDesign, Surface, structured_mesh
 from eitskin.geometry.design.patches import boundary_faces
 from eitskin.geometry.design.regular_layouts import uniform
-from eitskin.geometry.meshing.grading import Grading
+from eitskin.geometry.meshing.grading import Grading, graded_lines
 from eitskin.geometry.meshing.mesh import quality, volumes
 from eitskin.geometry.meshing.mesh_design import layer_heights, triangulated_mesh
 from eitskin.geometry.meshing.tetrahedra import tetrahedral_mesh
@@ -68,6 +70,25 @@ def test_cells_are_fine_at_the_electrode_edges_and_coarse_elsewhere(slab):
     assert np.median(size[near]) < 2 * grading.finest
     assert np.median(size[far]) > 0.2 * grading.coarsest
     assert np.median(size[far]) > 1.5 * np.median(size[near])
+
+
+@pytest.mark.parametrize("edge", [0.0, 0.05, 0.15])
+def test_lines_have_the_size_wanted_at_every_distance_from_an_edge(edge) -> None:
+    grading = Grading(2e-6, 5e-3, 0.2)
+    lines = graded_lines(0.15, {edge}, (), grading)
+    middle = 0.5 * (lines[1:] + lines[:-1])
+    assert np.diff(lines) == pytest.approx(grading.size(np.abs(middle - edge)), rel=0.04)
+
+
+@pytest.mark.parametrize(
+    ("grading", "count"),
+    [(Grading(4e-4, 4e-4, 1.0), "6e+06"), (Grading(1e-6, 12e-3, 0.5), "4.3e+06")],
+)
+def test_tetrahedra_are_counted_before_any_are_made(grading, count) -> None:
+    """8.5 V / s^3 where all have one size; 8.5 pi l / (2 growth^2 finest) at edges, 0.08 m long."""
+    OnDemand("pytetwild")
+    with pytest.raises(ConfigurationError, match=re.escape(f"about {count} tetrahedra")):
+        tetrahedral_mesh(REFERENCE, grading)
 
 
 def test_hexahedra_end_at_breaks() -> None:

@@ -5,9 +5,8 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from command_line import run
 
-from eitskin.cli.main import app
 from eitskin.frame import Frame
 from eitskin.hardware import run_live
 
@@ -26,8 +25,7 @@ def test_a_recording_replays_to_identical_lines(tmp_path):
     uri = f"virtual:?speed=max&scene={scene}&faults=lost_frame@5,inf_channel@8:4,reboot@12"
 
     def lines(*arguments):
-        result = CliRunner().invoke(app, ["live", "reference.eitmodel", "--json", *arguments])
-        assert result.exit_code == 0, result.output
+        result = run("live", "reference.eitmodel", "--json", *arguments, code=0)
         found = [json.loads(line) for line in result.stdout.splitlines()]
         moment = ("wall_time", "latency_ms", "rate_hz", "dropped", "skipped", "reconnections")
         return [{k: v for k, v in line.items() if k not in moment} for line in found]

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import printed_json
 from mcap_reader import read
-from typer.testing import CliRunner
 
-from eitskin.cli.main import app
 from eitskin.datasets import Dataset, State, save_dataset
 from eitskin.errors import ConfigurationError
 from eitskin.hardware import Reading
@@ -241,10 +240,8 @@ def recording(pipeline, tmp_path):
 
 def test_the_command_writes_what_the_pipeline_says(recording, pipeline, tmp_path) -> None:
     out = tmp_path / "run.mcap"
-    words = ["export", "mcap", str(tmp_path / "recording"), "--out", str(out), "--json", "-q"]
-    result = CliRunner().invoke(app, [*words, "--model", "reference.eitmodel"])
-    assert result.exit_code == 0, result.output
-    said = json.loads(result.stdout)
+    words = ("export", "mcap", tmp_path / "recording", "--out", out)
+    said = printed_json(*words, "--model", "reference.eitmodel")
     assert (said["frames"], said["estimates"], said["messages"]) == (3, 3, 17)
     found = read(out)
     pipeline.reset()

@@ -9,9 +9,7 @@ from functools import lru_cache
 import command_line
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from eitskin.cli.main import app
 from eitskin.datasets import Recipe
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.geometry import SensorDesign
@@ -264,13 +262,9 @@ def test_faults_of_electrodes_in_four_terminal_frames(protocol):
 kept_simulator = lru_cache(Simulator)  # of the sensor that all of the boards have
 
 
-def run(*arguments):
-    return CliRunner().invoke(app, ["check", *arguments])
-
-
 @pytest.mark.slow
 def test_the_command_finds_nothing_on_a_healthy_board():
-    result = run("--board", "virtual:?speed=max", "--frames", "8")
+    result = command_line.run("check", "--board", "virtual:?speed=max", "--frames", "8")
     assert result.exit_code == 0
     assert "8 frames" in result.stdout
     assert "flat" in result.stderr
@@ -282,7 +276,7 @@ def test_the_command_finds_nothing_on_a_healthy_board():
 )
 def test_the_command_names_the_faults_of_a_virtual_board(faults, expected, monkeypatch):
     monkeypatch.setattr(virtual, "Simulator", kept_simulator)
-    result = run("--json", "--board", f"virtual:?speed=max&faults={faults}")
+    result = command_line.run("check", "--json", "--board", f"virtual:?speed=max&faults={faults}")
     said = json.loads(result.stdout)
     assert [(each["what"], each["electrodes"]) for each in said["findings"]] == expected
     assert said["healthy"] is False
@@ -297,7 +291,7 @@ def test_the_command_lists_ports(monkeypatch):
     listed = json.loads(command_line.run("ports", "--json").stdout)["ports"]
     assert [each["uri"] for each in listed] == ["serial:/dev/ttyS0", "serial:?usb=20%205A"]
     last = "serial:?usb=20%205A  /dev/ttyACM0 (EIT board, ST, 0483:0001, 20 5A)"
-    assert run("--list").stdout.splitlines()[-1] == last  # as in version 0.2
+    assert command_line.run("check", "--list").stdout.splitlines()[-1] == last  # as in version 0.2
     monkeypatch.setattr(port, "serial_ports", lambda: ())
     assert "no serial port" in command_line.run("ports").stdout
 

@@ -12,11 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from command_line import run
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from eitskin.cli.main import app
 from eitskin.errors import ConfigurationError
 from eitskin.hardware import Connection, Reading, streams
 from eitskin.training.method.predictions import FoundTouches
@@ -247,5 +246,5 @@ def test_the_service_is_one_of_this_command():
     text = (CLIENTS / "eitskin-live.service").read_text()
     program, *arguments = shlex.split(re.search("^ExecStart=(.*)$", text, re.MULTILINE)[1])
     assert program.endswith("/eitskin")
-    known = re.findall(r"--[\w-]+", CliRunner().invoke(app, ["live", "--help"]).output)
+    known = re.findall(r"--[\w-]+", run("live", "--help").output)
     assert {each for each in arguments if each.startswith("--")} <= {*known}

@@ -30,6 +30,16 @@ def plain(length, width, thickness):
     return design, Mechanics(rubber, rubber, margin=0.0)
 
 
+@pytest.mark.parametrize("faces", ["both", "bottom"])
+def test_lines_across_the_stack_are_finest_at_the_faces_that_are_held(faces):
+    lines = bend_3d._heights(2e-3, 6e-3, Grading(2e-4, 2e-3, 0.5, layers=4), faces)
+    steps = np.diff(lines)
+    assert lines[[0, -1]] == pytest.approx([-6e-3, 6e-3])
+    assert lines[np.abs(lines) < 2.1e-3] == pytest.approx(np.linspace(-2e-3, 2e-3, 5))
+    assert steps[0] == pytest.approx(2e-4, rel=0.3)
+    assert steps[-1] == pytest.approx(steps[0] if faces == "both" else 1e-3)
+
+
 @pytest.fixture(scope="module")
 def bent():
     """The reference sensor at 20 degrees."""

@@ -12,7 +12,7 @@ from eitskin.simulator import Mechanics, Scene, Simulator
 from eitskin.simulator.bends.bend_3d import ClampedStack
 from eitskin.simulator.bodies import pressed_body
 from eitskin.simulator.bodies.clamped_body import ClampedBody
-from eitskin.simulator.bodies.pressed_body import BodyPress
+from eitskin.simulator.bodies.pressed_body import BodyPress, heights
 from eitskin.simulator.bodies.tetrahedral_solid import EDGES, TetrahedralField
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.scene.indenters import Sphere
@@ -125,6 +125,37 @@ def few_cells(monkeypatch):
         1e-3 * np.array([0.0, 5.5, 10.0]),
     )
     monkeypatch.setattr(pressed_body, "mesh_body", lambda *_: skfem.MeshTet.init_tensor(*lines))
+
+
+def test_heights_are_those_of_the_highest_face() -> None:
+    roof = np.array([[[0.0, 0.0, 1.0], [2.0, 0.0, 2.0], [0.0, 1.0, 4.0]]])
+    x, y = places = np.array([[0.2, 1.5, 0.3, 0.0], [0.3, 0.1, 0.6, 1.0]])
+    for faces in (roof, np.concatenate([roof - [0, 0, 5], roof, roof - [0, 0, 1]])):
+        assert heights(faces, places.T) == pytest.approx(1.0 + 0.5 * x + 3.0 * y)
+        assert np.isnan(heights(faces, np.array([[1.5, 0.5], [-0.1, 0.5]]))).all()
+
+
+@pytest.mark.usefixtures("few_cells")
+@pytest.mark.parametrize("slope", [(0.0, 0.0), (-0.2, 0.3), (0.3, -0.1)])
+def test_a_ball_first_meets_a_slope_beside_its_axis_with_fine_cells_below(
+    tmp_path, monkeypatch, slope
+) -> None:
+    near, few = [], pressed_body.mesh_body
+    monkeypatch.setattr(pressed_body, "mesh_body", lambda *given: near.append(given[2]) or few())
+    ball, axis = Sphere(0.004), np.array([0.022, 0.011])
+    corners = np.array([[x, y, z] for z in (0, 0.010) for x in (0, 0.04) for y in (0, 0.02)])
+    corners[4:, 2] += (corners[4:, :2] - axis) @ slope
+    trimesh.convex.convex_hull(corners).export(tmp_path / "wedge.stl")
+    surface = Surface(tmp_path / "wedge.stl")
+    pads = tuple(Electrode(x, 0.01, 0.004, on="surface", z=0.0) for x in (0.01, 0.03))
+    wedge = SensorDesign(surface, surface.height, pads, encapsulated_thickness=surface.height)
+    press = BodyPress(wedge, [Touch(*axis, depth=1e-4, indenter=ball)], BARE, COARSE)
+    rise = 0.004 * (np.hypot(1.0, np.hypot(*slope)) - 1.0)
+    assert press._lowest == pytest.approx([0.010 + rise], abs=1e-5)
+    (below,) = near
+    apart = np.linalg.norm(below[:, :2] - axis, axis=1)
+    assert apart.max() == pytest.approx(ball.rims[1])
+    assert below[:, 2] == pytest.approx(0.010 + (below[:, :2] - axis) @ slope, abs=1e-6)
 
 
 @pytest.mark.slow

@@ -1,12 +1,9 @@
 """Scenes as VTK files: read back by pyvista, against the model and against closed forms."""
 
-import json
-
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from command_line import printed_json, run
 
-from eitskin.cli.main import app
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, SensorDesign
 from eitskin.geometry.deformation.kinematics import largest_strain
@@ -97,21 +94,14 @@ def test_fields_are_those_of_the_model(sim, written) -> None:
 # The command
 
 
-def export(*words):
-    ran = CliRunner().invoke(app, ["export", "vtu", *(str(word) for word in words)])
-    if ran.exception is not None:
-        raise ran.exception
-    return ran.stdout
-
-
 @pytest.mark.slow
 def test_the_command_writes_a_scene(tmp_path) -> None:
     scene, out = tmp_path / "scene.toml", tmp_path / "out"
     scene.write_text("[bend]\nangle_deg = 20.0\n")
-    options = ("--out", out, "--cell", 0.01, "--drive", 0, 4)
-    said = json.loads(export(scene, *options, "--json"))
+    words = ("export", "vtu", scene, "--out", out, "--cell", 0.01, "--drive", 0, 4)
+    said = printed_json(*words)
     body = pyvista.read(out / BODY)
     assert (said["cells"], said["points"]) == (body.n_cells, body.n_points)
     assert body["displacement_m"][:, 2].min() < -0.005
     with pytest.raises(ConfigurationError, match="not empty"):
-        export(scene, *options)
+        run(*words)
