@@ -138,7 +138,8 @@ def _tables(
         column = parts[1] if parts[0] else "value"
         if shown.fullmatch(f"{row} | {column}") and not re.search(r" #\d+$|\+-$", key):
             spread = f" ± {figures[f'{key} +-']:.2g}" if f"{key} +-" in figures else ""
-            rows.setdefault(row, {})[column] = f"{value:.4g}{spread}"
+            digits = ",.0f" if value >= 1e4 else ".4g"
+            rows.setdefault(row, {})[column] = f"{value:{digits}}{spread}"
     tables: list[tuple[list[str], dict[str, dict[str, str]]]] = []
     for row, cells in rows.items():
         for columns, members in tables:
