@@ -41,12 +41,6 @@ def trained(dataset, tmp_path_factory):
     return folder
 
 
-@pytest.fixture
-def undrawn(monkeypatch):
-    """Pictures are not written as images, which takes most of a report and has tests elsewhere."""
-    monkeypatch.setattr(Figure, "savefig", lambda _, path: path.write_bytes(b"PNG"))
-
-
 def read(folder):
     return json.loads((folder / "report.json").read_text())
 
@@ -72,8 +66,9 @@ def test_training_writes_a_report_with_curves_and_reconstructions(trained, datas
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
-def test_a_saved_pipeline_gives_the_same_report(trained, tmp_path, capsys):
+def test_a_saved_pipeline_gives_the_same_report(trained, tmp_path, capsys, monkeypatch):
+    """Without writing images, which takes most of a report and has tests elsewhere."""
+    monkeypatch.setattr(Figure, "savefig", lambda _, path: path.write_bytes(b"PNG"))
     train.evaluate(trained / "some.eitmodel", trained / "data", out=tmp_path / "again")
     said = capsys.readouterr()
     assert "empty picture" in said.out

@@ -22,12 +22,11 @@ def pressed(places, strength=1.0):
     return FLAT * (1.0 + 0.05 * strength * np.exp(-((distance / 0.03) ** 2)))
 
 
-def recording(**known):
+def recording():
     """Presses alone: no untouched frame, no bend, no force."""
     places = np.random.default_rng(0).uniform(-0.04, 0.04, (60, 2))
     labels = {"state": np.full(60, State.TOUCH), "time": np.arange(60.0), "episode": np.zeros(60)}
-    known = labels | {"protocol": PROTOCOL} | known
-    return touched_dataset(pressed(places), FLAT, places, **known)
+    return touched_dataset(pressed(places), FLAT, places, protocol=PROTOCOL, **labels)
 
 
 @pytest.fixture(scope="module")
