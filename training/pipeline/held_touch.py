@@ -25,7 +25,7 @@ MIN_WEIGHT, MAX_WEIGHT = 1 / 16, 4.0
 """Of a frame, in frames with the noise of training; beyond the largest the model's errors grow."""
 WEIGHTS = 4  # steps of weights in a factor of two, so that what follows from one stays known
 JUMPS = 5.0  # times the noise of training; what scatters more has jumped
-RISE = 3.0  # times the variance so far; what touched frames scatter more may be their touches
+RISE = 3.0  # times the variance of untouched frames; more may be the touches of others
 MOTION = 5.0  # standard deviations of the mean square that distinguish motion from noise
 
 
@@ -87,7 +87,8 @@ class HeldTouch:
         default_factory=lambda: deque(maxlen=MAX_HELD_FRAMES)
     )
     _scatter: deque[float] = field(default_factory=lambda: deque(maxlen=NOISE_FRAMES))
-    _latest: float = 0.0  # scatter of the latest three frames
+    _untouched: float = field(init=False)  # the variance when a frame was untouched last
+    _latest: float = -1.0  # scatter of the latest three frames; -1 where it is taken
     _touched: deque[bool] = field(default_factory=lambda: deque(maxlen=3))
     _speed: float = 0.0  # of the latest motion: its statistic over its limit and over weight
     _moving: float = MOVING  # probability of motion in the latest frames
@@ -119,15 +120,17 @@ class HeldTouch:
     def settle(self, touched: bool) -> None:
         """Take the latest frame for touched or not; three alike, or any at first, show the noise.
 
-        Touches that come and go, or jump, scatter as well.
+        Touches that come and go, or jump, scatter as well. Equal frames show nothing.
         """
         self._touched.append(touched)
         first, alike = not self.is_noise_known, len(set(self._touched)) == 1
-        most = RISE * self.variance if touched and not first else (JUMPS * self.noise) ** 2
-        if (first or alike) and 0.0 < self._latest < most:
-            self._scatter.append(self._latest)
-            self._latest, expected = 0.0, [0.5 * self.noise**2] * MIN_SCATTERS
+        most = RISE * self._untouched if touched and not first else (JUMPS * self.noise) ** 2
+        if (first or alike) and 0.0 <= self._latest < most:
+            self._scatter.append(self._latest or 0.5 * self.noise**2)
+            self._latest, expected = -1.0, [0.5 * self.noise**2] * MIN_SCATTERS
             self.variance = median([*self._scatter, *expected])
+            if not touched:
+                self._untouched = self.variance
 
     def set_frames(self, frames: list[Voltages]) -> None:
         """Take these for the latest frames of the touch; none before a touch."""
@@ -169,7 +172,8 @@ class HeldTouch:
 
     def __post_init__(self) -> None:
         """No frame so far."""
-        self.variance, self.lag = 0.5 * self.noise**2, np.zeros(0)
+        self.variance = self._untouched = 0.5 * self.noise**2
+        self.lag = np.zeros(0)
 
     def _deviation(self, channels: int) -> float:
         """Relative deviation of the mean square over channels, larger where these share noise."""
