@@ -47,7 +47,6 @@ from eitskin.training.joint.specimen_model import (
     AngleEstimate,
     SpecimenModel,
     candidate_rows,
-    mix_usual,
 )
 from eitskin.training.joint.touch_response import SpecimenResponse, TouchPrior, TouchResponse
 from eitskin.training.joint.training import fit_joint, held_out_touches
@@ -240,6 +239,9 @@ class JointMethod(Method):
                 frame_fit.rival = faulty.names
         if not bends:
             bend = AngleEstimate(np.nan, np.nan, 0.0)
+        elif len(frame_fit.touches) and self._bends_in_frame(frame_fit, reference, specimen):
+            seen = specimen.angle(self._without_touches(change, frame_fit, specimen))
+            bend = replace(reference, angle_deg=seen.angle_deg, deviation_deg=seen.deviation_deg)
         elif len(frame_fit.touches):
             deviation = float(np.hypot(frame_fit.angle_deviation_deg, reference.deviation_deg))
             bend = replace(reference, angle_deg=frame_fit.angle_deg, deviation_deg=deviation)
@@ -254,6 +256,26 @@ class JointMethod(Method):
                 change_seen = replace(change_seen, further=np.outer(late, late))
             bend = specimen.angle(change_seen)
         return self._prediction(frame_fit, bend, specimen)
+
+    @staticmethod
+    def _bends_in_frame(fit: FrameFit, reference: AngleEstimate, specimen: SpecimenModel) -> bool:
+        """Whether a touched frame alone shows how a sensor, flat before, bends."""
+        return (
+            specimen.usual is not None
+            and not fit.faults
+            and reference.angle_deg == 0.0
+            and (abs(fit.angle_deg) >= MOVED_DEG)
+        )
+
+    def _without_touches(
+        self, change: CombinedChange, fit: FrameFit, specimen: SpecimenModel
+    ) -> CombinedChange:
+        """The change less that by the touches of its fit, whose errors count as noise."""
+        touches = np.ascontiguousarray(fit.touches)
+        by_touches, *slopes = specimen.response.with_derivatives(touches, fit.angle_deg)
+        further = np.einsum("iak,aij,jal->kl", slopes, fit.covariance, slopes, optimize=True)
+        rest = change.measured - by_touches.sum(axis=0) @ self.combinations.back
+        return replace(change, measured=np.where(change.good, rest, 0.0), further=further)
 
     def _fit_frame(
         self,
@@ -286,14 +308,8 @@ class JointMethod(Method):
         if abs(frame_fit.angle_deg) < MOVED_DEG:
             return frame_fit
         usual = fit(specimen.usual)
-        evidence = 0.5 * (frame_fit.estimate.improbability - usual.estimate.improbability)
-        by_other, by_usual = (
-            (each.angle_deg, each.angle_deviation_deg) for each in (frame_fit, usual)
-        )
-        share, angle, deviation = mix_usual(by_other, by_usual, evidence, LOG_ODDS)
-        likelier = usual if share > 0.5 else frame_fit
-        likelier.angle_deg, likelier.angle_deviation_deg = angle, deviation
-        return likelier
+        gain = frame_fit.estimate.improbability - usual.estimate.improbability
+        return usual if gain > -2.0 * LOG_ODDS else frame_fit
 
     def _prediction(
         self, found: FrameFit, bend: AngleEstimate, specimen: SpecimenModel

@@ -199,22 +199,6 @@ def mixture_moments(
     return mean, math.sqrt(square)
 
 
-def mix_usual(
-    by_other: tuple[float, float], by_usual: tuple[float, float], evidence: float, log_odds: float
-) -> tuple[float, float, float]:
-    """Share of the usual bend, and angle and standard error [deg] by it and by any other.
-
-    Args:
-        by_other, by_usual: angle and standard error [deg], should the sensor bend so.
-        evidence: logarithm of the ratio of the frame's densities by the usual and any other bend.
-        log_odds: of the usual bend before.
-    """
-    share, doubted = expit(np.array([1.0, TEMPER]) * evidence + log_odds).tolist()
-    angle, _ = mixture_moments(by_other, by_usual, share)
-    mean, spread = mixture_moments(by_other, by_usual, doubted)
-    return share, angle, math.hypot(spread, mean - angle)
-
-
 def blend_angles(curve: tuple[float, float], networks: tuple[float, float]) -> tuple[float, float]:
     """Angle and its standard error [deg] from those by the bend curve and by the networks.
 
@@ -342,10 +326,13 @@ class SpecimenModel:
         other = self._angle_of_any(fewer)
         log_odds = LOG_ODDS - 0.5 * FAULT_THRESHOLD * len(usual.faults)
         evidence = usual.log_evidence - other.log_evidence
-        by_other, by_usual = ((each.angle_deg, each.deviation_deg) for each in (other, usual))
-        share, angle, deviation = mix_usual(by_other, by_usual, evidence, log_odds)
+        share, doubted = expit(np.array([1.0, TEMPER]) * evidence + log_odds).tolist()
         if usual.faults and share < 0.5:
             return self._angle_of_any(combined)
+        by_other, by_usual = ((each.angle_deg, each.deviation_deg) for each in (other, usual))
+        angle, _ = mixture_moments(by_other, by_usual, share)
+        mean, spread = mixture_moments(by_other, by_usual, doubted)
+        deviation = math.hypot(spread, mean - angle)
         likelier = usual if share > 0.5 else other
         return replace(likelier, angle_deg=angle, deviation_deg=deviation, usual=share)
 
