@@ -90,6 +90,26 @@ def atomic_folder(
         raise failure(f"cannot write {path}: {error.strerror or error}; {remedy}") from error
 
 
+@contextmanager
+def new_contents(folder: Path) -> Iterator[None]:
+    """Context manager of writing into a folder that is made if missing; what is new goes on errors.
+
+    Where the block raises, files that were not in the folder before are removed.
+    """
+    before = {*folder.iterdir()} if folder.exists() else None
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        for path in {*folder.iterdir()} - (before or set()):
+            with suppress(OSError):
+                path.unlink()
+        if before is None:
+            with suppress(OSError):
+                folder.rmdir()
+        raise
+
+
 def write_file(path: Path, content: bytes) -> None:
     """Write one file of resumable work, atomically.
 

@@ -103,6 +103,7 @@ def make_dataset(
     output.detail(f"{recipe.frames} frames in {recipe.shards} shards, {by}")
     _solve_missing(recipe, workers, output, shard)
     start = time.perf_counter()
+    found = {path: path.stat().st_mtime_ns for path in out.glob("shard-*.h5")}
     with output.bars() as show:
         counts: list[int] = []
 
@@ -123,6 +124,9 @@ def make_dataset(
         )
     seconds = time.perf_counter() - start
     finished, new_shards = counts[-1], counts[-1] - counts[0]
+    if replaced := [path.name for path, at in found.items() if path.stat().st_mtime_ns != at]:
+        names = ", ".join(sorted(replaced)[:5]) + " and others" * (len(replaced) > 5)
+        output.note(f"damaged or not of this recipe, and therefore made again: {names}")
     size = sum(path.stat().st_size for path in out.glob("shard-*.h5"))
     data = {
         "out": str(out),

@@ -27,6 +27,7 @@ from eitskin.datasets.store.shard import write_entry
 from eitskin.datasets.store.shard_reader import parse_shard, read_shard
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.extras import old_names
+from eitskin.files import new_contents
 from eitskin.frame import Frame
 
 READ_AT_ONCE = 64_000_000
@@ -139,19 +140,21 @@ def save_parts(
 
     There is at least one part. `progress` is called with the number of written shards. Raises
     ConfigurationError where the folder holds something, and PartialError where a file cannot be
-    written.
+    written; then nothing of it is left.
     """
-    folder = new_folder(Path(folder))
+    folder = Path(folder)
+    require_empty(folder)
     entries: list[ShardEntry] = []
     first, names = 0, Names()
-    for part in parts:
-        names = names.merge(part.names)
-        entries.append(write_entry(folder, len(entries), part, first))
-        first += len(part)
-        if progress:
-            progress(len(entries))
-    manifest = Manifest.from_shards(part.source, entries, part.recipe, part.seed, names)
-    write_manifest(folder, manifest)
+    with _as_configuration_errors(folder), new_contents(folder):
+        for part in parts:
+            names = names.merge(part.names)
+            entries.append(write_entry(folder, len(entries), part, first))
+            first += len(part)
+            if progress:
+                progress(len(entries))
+        manifest = Manifest.from_shards(part.source, entries, part.recipe, part.seed, names)
+        write_manifest(folder, manifest)
     return manifest
 
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.bounds import require_axes
+from eitskin.bounds import require_axes, require_count
 from eitskin.errors import ConfigurationError
 from eitskin.files import shorten_text
 from eitskin.geometry.deformation.kinematics import WHOLE_TENSOR
@@ -298,7 +298,11 @@ class ForwardModel:
     def contact_drops(self, w: Numbers, U: Numbers, lift: Array) -> Numbers:
         """Potential drop U - u across the contacts, (pieces, q, k), for u = w + lift U."""
         assembly = self.assembly
-        require_axes("w", w, len(lift), None)
+        rows = int(assembly.facet_numbers.max()) + 1
+        require_axes("U", U, len(self.design.electrodes), None, more=False)
+        require_axes("w", w, None, U.shape[1], more=False)
+        require_axes("lift", lift, len(w), len(U), more=False)
+        require_count("number of rows of w", len(w), rows, 1 << 30)
         on = np.einsum("fiq,fie->fqe", assembly.facet_shape, w[assembly.facet_numbers])
         # u - U_l is w itself on electrodes with a lifting function.
         own = U * (1.0 - lift.max(axis=0))[:, None]
@@ -392,7 +396,12 @@ class ForwardModel:
         if area_ratio is None:
             return 1.0
         points = self.assembly.facet_points
-        ratio = np.asarray(area_ratio(points, self.assembly.facet_normals))
+        try:
+            ratio = np.asarray(area_ratio(points, self.assembly.facet_normals))
+        except TypeError as error:
+            raise ConfigurationError(
+                f"area_ratio: expected a function of points and normals, which failed: {error}"
+            ) from error
         if ratio.dtype.kind not in "fiu" or ratio.shape not in ((), points.shape[:-1]):
             raise ConfigurationError(
                 f"area_ratio: expected real numbers of the shape {points.shape[:-1]}, got "

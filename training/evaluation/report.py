@@ -12,7 +12,7 @@ import numpy as np
 from eitskin.datasets import Dataset
 from eitskin.datasets.store.summary import specimens_in_words
 from eitskin.extras import require
-from eitskin.files import atomic_file
+from eitskin.files import atomic_file, new_contents
 from eitskin.geometry import ConfigurationError, PartialError
 from eitskin.training.evaluation.drawing import EXTRA, CaptionedFigure, NoFigure, style
 from eitskin.training.evaluation.evaluate import Evaluation, PositionScore, held_out_positions
@@ -67,15 +67,18 @@ IMAGES = {
 
 
 def require_report_folder(folder: Path) -> None:
-    """Make the folder of a report, before the evaluation.
+    """Try the folder of a report, before the evaluation; a new one is not left.
 
     Raises ConfigurationError for a folder that cannot be made, or that holds anything but an
     earlier report, which is replaced; ImportError without matplotlib.
     """
     require("matplotlib", EXTRA)
     try:
+        new = not folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
         others = any(folder.iterdir()) and not (folder / DOCUMENT).is_file()
+        if new:
+            folder.rmdir()
     except OSError as error:
         raise ConfigurationError(
             f"no report can be written to {folder}: {error.strerror or error}; name a folder that "
@@ -173,7 +176,7 @@ def _write_folder(
     """
     require_report_folder(folder)
     captions, left_out = {}, {}
-    with style():
+    with new_contents(folder), style():
         for name, draw in drawings.items():
             drawn = draw()
             if isinstance(drawn, NoFigure):
@@ -182,27 +185,27 @@ def _write_folder(
             with atomic_file(folder / name, PartialError, _REMEDY) as path:
                 drawn.figure.savefig(path)
             captions[name] = drawn.caption
-    document |= {"pictures": captions, "left_out": left_out}
-    first, *rows = ("| " + " | ".join(row) + " |" for row in table)
-    paragraphs = [
-        f"# {title}",
-        "\n".join(f"- {name}: {value}" for name, value in document["provenance"].items()),
-        "\n".join([first, "|---" * len(table[0]) + "|", *rows]),
-        *notes,
-    ]
-    for name, caption in captions.items():
-        words = name.removesuffix(".png").replace("_", " ")
-        paragraphs += [f"![{words}]({name})", caption]
-    if left_out:
-        reasons = (f"- {name}: {why}" for name, why in left_out.items())
-        paragraphs += ["Left out:", "\n".join(reasons)]
-    texts = {
-        DOCUMENT: json.dumps(document, indent=1, allow_nan=False),
-        TEXT: "\n\n".join([*paragraphs, *ends]),
-    }
-    for name, text in texts.items():
-        with atomic_file(folder / name, PartialError, _REMEDY) as path:
-            path.write_text(text + "\n", encoding="utf-8")
+        document |= {"pictures": captions, "left_out": left_out}
+        first, *rows = ("| " + " | ".join(row) + " |" for row in table)
+        paragraphs = [
+            f"# {title}",
+            "\n".join(f"- {name}: {value}" for name, value in document["provenance"].items()),
+            "\n".join([first, "|---" * len(table[0]) + "|", *rows]),
+            *notes,
+        ]
+        for name, caption in captions.items():
+            words = name.removesuffix(".png").replace("_", " ")
+            paragraphs += [f"![{words}]({name})", caption]
+        if left_out:
+            reasons = (f"- {name}: {why}" for name, why in left_out.items())
+            paragraphs += ["Left out:", "\n".join(reasons)]
+        texts = {
+            DOCUMENT: json.dumps(document, indent=1, allow_nan=False),
+            TEXT: "\n\n".join([*paragraphs, *ends]),
+        }
+        for name, text in texts.items():
+            with atomic_file(folder / name, PartialError, _REMEDY) as path:
+                path.write_text(text + "\n", encoding="utf-8")
     for name in left_out:
         (folder / name).unlink(missing_ok=True)  # of an earlier report
     return folder

@@ -9,7 +9,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.bounds import require_axes
+from eitskin.bounds import require_axes, require_count
 from eitskin.datasets import UNKNOWN_STATE, State, touch_maps
 from eitskin.errors import ConfigurationError
 from eitskin.extras import old_names
@@ -197,6 +197,7 @@ class Predictions:
             force: (n, N) [N].
             radius: radius of the discs in the map [m].
         """
+        require_count("count", count, 0, 1 << 20)
         unknown = np.full(count, np.nan)
         state = np.full((count, len(State)), np.nan)
         if probabilities is not None:
