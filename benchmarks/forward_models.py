@@ -221,8 +221,7 @@ def judge(frame: Frame, truth: Truth, least_seconds: float = 0.4) -> dict[str, f
 
     Returns "resistance_error", the largest relative error of the flat resistances; "signal_error",
     norm of the error of the change over norm of the change, the largest of all drops; and
-    "frame_seconds", median processor time per frame of 28, conductivity evaluated, assembled and
-    solved again.
+    "frame_seconds", median processor time per frame of 28, evaluated, assembled and solved.
     """
     flat = frame(None)
     frames: list[Array] = []

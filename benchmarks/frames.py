@@ -19,8 +19,7 @@ def generate_missing(
 ) -> Dataset:
     """Generate the frames of a recipe that `folder` does not have yet, and open all.
 
-    Progress is that of a `part` of this name. Raises ConfigurationError where `folder` holds
-    frames of another recipe.
+    Progress is of a `part`. Raises ConfigurationError where `folder` holds another recipe's.
     """
     resume = (folder / "recipe.toml").is_file()
     generate(recipe, folder, workers, partial(progress, part), resume=resume)

@@ -1,8 +1,7 @@
 """Leaderboard of skinbench: a JSON file of entries, made of the results of benchmarks alone.
 
 A track is what is measured on which frozen frames. Their recipes stand in
-`skinbench/recipes/TRACK`, as they were when the version was frozen; a test holds that the
-benchmarks still make these.
+`skinbench/recipes/TRACK`, as they were when the version was frozen; a test makes them again.
 """
 
 import hashlib

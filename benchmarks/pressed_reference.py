@@ -2,8 +2,7 @@
 
 Run by `python -m eitskin.benchmarks.pressed_reference --out FILE`; needs the extra `reference`.
 docs/results/simulator.md compares with them. FILE has the form of
-`published/world_reference.json` and is rewritten after each case. Lengths are in mm, moduli in
-kPa, hence forces in mN.
+`published/world_reference.json` and is rewritten after each case. Units: mm, kPa, mN.
 """
 
 import argparse
@@ -219,8 +218,7 @@ class MixedSolid:
     def settle(self, held_contacts: Sequence[HeldContact]) -> int:
         """Equilibrium under prescribed shapes and forces by Newton's method, from `state`.
 
-        Returns the number of iterations; raises SolidError, with `state` as it was, where there
-        are too many.
+        Returns the number of iterations; raises SolidError, `state` unchanged, at too many.
         """
         state, before, steps = self.state, self.state.vec.CreateVector(), self.steps
         before.data = state.vec

@@ -2,8 +2,7 @@
 
 The pages of `docs/results` show the main figures of `benchmarks/published/NAME/results.json`, and
 the leaderboard: `sections.toml` in that folder says which. `quoted.toml` has the keys of the
-figures in table rows of README and docs; they are written again with as many digits as stand in
-the page.
+figures in table rows of README and docs; they are written again with the page's digits.
 """
 
 import re

@@ -146,8 +146,7 @@ class Report:
     def write(self, out: Path) -> list[Path]:
         """Write `out/NAME/`: pictures and table first, results.json last, which vouches for all.
 
-        Returns all paths. Raises ConfigurationError where one cannot be written; what was there
-        stays.
+        Returns all paths. Raises ConfigurationError where one cannot be written; the old stays.
         """
         folder, results = out / self.results.name, self.results
         make_folder(folder)
@@ -242,8 +241,7 @@ def plot_errors(
 ) -> None:
     """Plot points by label, a panel for each title, on logarithmic scales into a PNG file.
 
-    `limits` are values of y to be marked, by name; `ticks` names of x = 0, 1, ..., for linear
-    scales.
+    `limits` are marked values of y by name; `ticks` names of x = 0, 1, ..., on linear scales.
     """
     figure = require("matplotlib.figure", "bench").Figure(
         figsize=(8.0 * len(panels), 5.4), layout="constrained"

@@ -136,8 +136,7 @@ class Rate:
 
     Attributes:
         name: name of the workload.
-        scenes_per_second: scenes per second of two processes at once, solutions without touches
-            included.
+        scenes_per_second: scenes per second of two processes, untouched solutions included.
         scene_ms: scene of one scene, processor time of one process alone.
         error_median, error_max: norm of the error over norm of the signal, of some scenes.
     """

@@ -1,8 +1,7 @@
 """Run of `bench transfer`: every pipeline in every world, by the labelled frames.
 
 Sensors of a world differ from those of the recipe "training". A pipeline is scored as it is, and
-adapted to each sensor by labelled frames. Cramer-Rao bounds say what the noise of one frame leaves
-of any method.
+adapted to each sensor by labelled frames. Cramer-Rao bounds say what noise leaves.
 """
 
 import time
@@ -194,8 +193,7 @@ class LabelledCounts:
     def rows(self, mine: Dataset) -> list[int]:
         """Rows of the flat frame, of bent ones and of presses among the known frames of a sensor.
 
-        The fixed angles come first, the largest of them before the others. All presses are taken
-        where there are fewer.
+        The fixed angles come first, the largest before the others; of fewer presses all are taken.
 
         Raises DataError where there are too few angles.
         """

@@ -29,8 +29,7 @@ _wanted: ContextVar[bool] = ContextVar("_wanted", default=False)
 def kernels() -> Iterator[None]:
     """Context in which `compiled_kernels` gives kernels.
 
-    Loading them takes half a second, as long as some scenes take without: a command that simulates
-    one scene is faster plain.
+    Loading them takes half a second: a command that simulates one scene is faster plain.
     """
     before = _wanted.set(True)
     try:

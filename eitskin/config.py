@@ -39,8 +39,7 @@ class Location:
 
     Attributes:
         source: name of the file or of another source.
-        folder: start of relative paths; None where the source is no file of the user's, and may
-            name no files.
+        folder: start of relative paths; None for a source that may name no files.
         key: dotted keys from the top of the source to the data; empty at the top.
     """
 
@@ -122,8 +121,7 @@ def build(make: Callable[..., T], data: Any, location: Location) -> T:
     A dataclass may have a classmethod `expanded(data, location)` that replaces abbreviations in
     the data by what they stand for, as plain data or as dataclasses.
 
-    Raises ConfigurationError for unknown and missing keys, values of a wrong type, and every
-    ValueError of `make`.
+    Raises ConfigurationError for unknown and missing keys, wrong types and ValueErrors of `make`.
     """
     if not isinstance(data, Mapping):
         raise location.error(f"expected a table ({_keys(make)}), got `{type(data).__name__}`")
@@ -278,8 +276,7 @@ def _nearest(key: str, candidates: Iterable[str]) -> str:
 def to_dict(value: Any) -> Any:
     """Convert a dataclass to plain data for TOML and JSON; fields that are None are left out.
 
-    A dataclass without fields becomes its name in lower case, one whose method `abbreviated()`
-    gives a text that text.
+    A dataclass without fields becomes its name in lower case, or the text of its `abbreviated()`.
     """
     if dataclasses.is_dataclass(value):
         abbreviated = getattr(value, "short_name", lambda: None)()

@@ -71,8 +71,7 @@ def atomic_folder(
 ) -> Iterator[Path]:
     """Context manager of a temporary folder next to `path`, which is renamed to `path` at the end.
 
-    Arguments and guarantees are those of `atomic_file`. A folder that stood at `path` is replaced;
-    missing parent folders are made.
+    As `atomic_file`. A folder that stood at `path` is replaced; missing parent folders are made.
     """
     path = _require_name(path, failure, remedy)
     try:
@@ -176,8 +175,7 @@ def read_bytes(
 ) -> bytes:
     """Content of a regular file of at most `max_bytes` bytes.
 
-    Raises `failure` where the file is missing, may not be read, is a folder, pipe or device, or is
-    larger.
+    Raises `failure` where the file is missing, unreadable, a folder, pipe or device, or larger.
     """
     try:
         # Opening a pipe without a writer would wait for one.

@@ -5,8 +5,7 @@ busy for ever or fill its memory. A reader is a function of a module that yields
 called in a child with limits on processor time and memory, and its answers come back as plain
 data and arrays, of which nothing is executed. A child that has answered is used again.
 
-The child has the rights of its user: it contains accidents and malformed files, not an attacker
-who gains control of a reader.
+The child has the rights of its user: it contains accidents and malformed files, not an attacker.
 """
 
 import contextlib

@@ -116,8 +116,7 @@ class Reading:
         rate: mean frame rate over the last 20 frames [Hz]; NaN for the first.
         unusable: frames so far that were too damaged for an estimate.
         problem: reason for a missing estimate; empty otherwise.
-        wall_time: arrival of the frame by the clock of this machine [s since 1970]; NaN where
-            unknown.
+        wall_time: arrival of the frame by this machine's clock [s since 1970]; NaN if unknown.
 
     Example:
         >>> import numpy as np

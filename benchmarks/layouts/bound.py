@@ -72,8 +72,7 @@ class Sampling:
 
     Attributes:
         spacing: spacing of the places, at most [m].
-        margin: margin of the sheet without places: presses nearer to the rim are detected by images
-            only [m].
+        margin: margin without places [m]: presses nearer to the rim are detected by images only.
         resolution: resolution of the forward model.
         snr_db: snr db of the instrument's white noise below full scale [dB].
     """

@@ -1,7 +1,6 @@
 """Run of the paper's experiments, their table and picture: `eitskin bench paper`.
 
-Next to the published figures stand those of the paper's pipeline, trained here, of ours, and of
-further methods.
+Next to the published figures stand those of the paper's pipeline, ours and further methods.
 """
 
 import time

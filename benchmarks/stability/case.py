@@ -70,8 +70,7 @@ def judge(case: Case, family: str = "", patience: float = _PATIENCE) -> dict[str
     Returns the row of table.csv: the case's values, None also for what is not a number; `family`,
     the row of the table of extreme cases that it belongs to; `case`, its name; `seconds` [s]; and
     `outcome`: "ok"; "refused" by a ConfigurationError; "left out" where something is not installed;
-    or "wrong": not a number, beyond a limit, another exception, a hang, or another outcome than the
-    expected one.
+    or "wrong": not a number, beyond a limit, another exception or outcome, or a hang.
     """
     start = time.perf_counter()
     outcome: Outcome

@@ -40,8 +40,7 @@ def shunt_pair(a: float, b: float, edges: Sequence[Place]) -> float:
     """Resistance times sheet conductance of a rectangle a x b between two shunt electrodes.
 
     `edges` are the ends (x, y) of the first and of the second electrode, in turn round the rim;
-    a, b and `edges` share one unit. sn maps the rectangle to the upper half-plane
-    (Schwarz-Christoffel).
+    a, b and `edges` share one unit. sn maps the rectangle to the half-plane (Schwarz-Christoffel).
     """
     p = [_on_real_line(a, b, place) for place in edges]
     whole = _minor(p[0], p[2]) * _minor(p[1], p[3])

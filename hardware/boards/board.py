@@ -136,8 +136,7 @@ class PortBoard(Board, Generic[Item]):
         """Open the port.
 
         Args:
-            connect: opens a port whose reads return after a short while; called again by
-                `reconnect`.
+            connect: opens a port whose reads return soon; called again by `reconnect`.
             uri: name of the board in messages.
             clock: time that pauses and silence are measured by [s].
         """

@@ -1,7 +1,6 @@
 """Board on a serial port: the host's side of the wire protocol.
 
-No frame is made up: lost frames are counted, damaged ones dropped and counted, and a silent board
-is an error.
+No frame is made up: lost and damaged frames are counted, and a silent board is an error.
 """
 
 import logging
@@ -51,8 +50,7 @@ class SerialBoard(PortBoard[messages.Message]):
         """Open the port, and ask for the board's identity and measurement table.
 
         Args:
-            connect: opens a port whose reads return after a short while; called again by
-                `reconnect`.
+            connect: opens a port whose reads return soon; called again by `reconnect`.
             uri: name of the board in messages.
             clock: time that silence is measured by [s].
 

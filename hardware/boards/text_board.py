@@ -52,13 +52,11 @@ class TextBoard(PortBoard[FrameLines]):
         """Open the port.
 
         Args:
-            connect: opens a port whose reads return after a short while; called again by
-                `reconnect`.
+            connect: opens a port whose reads return soon; called again by `reconnect`.
             uri: name of the board in messages.
             protocol: one measurement for each line.
             mark: beginning of the line before each frame; pauses divide frames when empty.
-            pause: shortest pause between frames [s]; three times the usual interval of lines when
-                NaN.
+            pause: shortest pause between frames [s]; three usual intervals of lines when NaN.
             frequency: excitation frequency where the lines do not give it [Hz].
             skip: numbers before the measurements of a line, such as a time.
             clock: time that pauses and silence are measured by [s].

@@ -4,8 +4,7 @@ Impedance and body impedance: `Freq:40000.00 RzMag: 612.5 Ohm , RzPhase: -1.25`,
 and phase in degrees; "Freq:" comes once for several lines, in each line, or not at all. Two-wire
 bioimpedance: `Freq:40000.00 Impedance:(Real,Imaginary) = (612.3,-13.4)`, in ohm. Others print one
 number a line, those of a drive pair, or all of a frame: `magnitudes : 612.5 , 598.1 ,`,
-`612.5, 598.1` or JSON. Lines carry no checksum: a digit that is damaged into another digit goes
-unseen.
+`612.5, 598.1` or JSON. Lines carry no checksum: a digit damaged into another goes unseen.
 """
 
 import cmath

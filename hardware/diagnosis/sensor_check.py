@@ -4,8 +4,7 @@ Made for protocols that sense where they drive, every pair once. Their values ha
 R_ij = g E_ij + r_i + r_j with expected resistances E, a factor g common to the layer and
 resistances r in series with the electrodes: g and r are separable, and wrong wiring fits no g and r
 at all. Series resistances add exactly, by Kirchhoff's laws; the common factor is an approximation,
-limited by the electrode positions and the paths of the board. For other protocols the findings that
-need this model are left out.
+limited by the electrode positions and the board's paths. Other protocols have no such findings.
 """
 
 import dataclasses
@@ -258,8 +257,7 @@ class ContactFit:
 
     Attributes:
         scale: g, ratio of the layer to the expected one.
-        series: r, resistance in series with each electrode beyond the expected one, (electrodes,)
-            [ohm].
+        series: r, unexpected resistance in series with each electrode, (electrodes,) [ohm].
         misfit: root mean square of the relative residuals.
     """
 

@@ -89,8 +89,7 @@ class McapWriter(Closeable):
     def write(self, reading: Reading) -> None:
         """Append one reading.
 
-        Raises PartialError where the reading cannot be written; the writer is then at its end, and
-        no file takes the name.
+        Raises PartialError where the reading cannot be written; then no file takes the name.
         """
         stamp, begins = self._stamps.stamp_frame(reading.frame)
         messages = self._messages.make_messages(reading, stamp)

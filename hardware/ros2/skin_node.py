@@ -24,8 +24,7 @@ Tare = Callable[[Sequence[Frame]], str]
 class SkinNode(Closeable):
     """Node that publishes readings as the messages of `messages.TOPICS`.
 
-    A stamp is the time, by the clock of this machine, at which the frame came. Publishing never
-    waits for a subscriber.
+    A stamp is the frame's arrival by this machine's clock. Publishing waits for no subscriber.
 
     Attributes:
         name: name of the skin.

@@ -43,8 +43,7 @@ class UnpluggedError(Exception):
 
     Attributes:
         sent: bytes that still came through.
-        back_after: time until the cable is put back and the board starts again [s]; None where the
-            cable stays out.
+        back_after: time until cable and board are back [s]; None where the cable stays out.
     """
 
     def __init__(self, sent: bytes = b"", back_after: float | None = None) -> None:
@@ -78,8 +77,7 @@ class FaultKind:
 class Fault:
     """Fault of one virtual board.
 
-    Frames are counted since the board was made; a restart does not set the count back. A fault of
-    replies counts requests instead.
+    Frames are counted since the board was made, across restarts; faults of replies count requests.
 
     Attributes:
         name: name, as in "name@frame:index".

@@ -5,8 +5,7 @@ channel that is NaN) or acts once (a lost frame), by its nature. Faults of repli
 instead of frames: `no_reply@0:2` leaves the first two unanswered.
 
 To add a fault, add a row to one of the tables: `WIRE_FAULTS` for bytes and times of frames,
-`BOARD_FAULTS` for answers, identity and cable, `SENSOR_FAULTS` for the network between the
-electrodes and the values.
+`BOARD_FAULTS` for answers, identity and cable, `SENSOR_FAULTS` from electrodes to values.
 """
 
 import difflib

@@ -134,10 +134,8 @@ class SimulatedSensor:
         Args:
             simulator: simulator of the sensor.
             instrument: instrument that measures every frame; noise-free when omitted.
-            seed: seed of the session and of every frame's noise, which depends on seed and frame
-                number alone.
-            period: time from frame to frame [s], for drift; 10.6 ms for each measurement when
-                omitted.
+            seed: seed of session and noise, which depends on it and the frame's number alone.
+            period: time from frame to frame [s], for drift; 10.6 ms per measurement when omitted.
         """
         self.protocol = simulator.protocol
         self.solve = lru_cache(maxsize=1024)(simulator.impedance_matrix)
@@ -183,8 +181,7 @@ Solved = tuple[Scene, Matrix]
 class Stage:
     """Scene and faults of a virtual board; may be changed from any thread.
 
-    A new scene is solved in the thread that sets it, so that an impossible one is refused there and
-    the board keeps its pace.
+    A new scene is solved, and refused, in the thread that sets it: the board keeps its pace.
 
     Attributes:
         frames: number of frames measured since the board was made.
@@ -265,8 +262,7 @@ class Stage:
     def active(self) -> tuple[Fault, ...]:
         """Faults for the next frame, for the board's own thread alone.
 
-        Injected faults begin now, since only that thread knows the next frame; faults that are over
-        are removed.
+        Injected faults begin now: only that thread knows the next frame. Faults that are over go.
         """
         if self._cleared:
             self._cleared, self._faults = False, ()

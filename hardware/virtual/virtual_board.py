@@ -55,15 +55,13 @@ def virtual_firmware(
             file that holds one of the first two; the flat untouched sensor when omitted.
         seed: seed of the instrument.
         snr_db: full scale over noise [dB]; infinity for no noise.
-        instrument: instrument of one session, its name, or the path of its TOML file; white noise
-            of `snr_db` when omitted.
+        instrument: instrument, its name or TOML file; white noise of `snr_db` when omitted.
         faults: faults as text, "name@frame:index,...", or as `Fault`s.
         simulator: simulator of the sensor; one of `sensor` when omitted.
         sensor: a design, or the path of its TOML file; the reference sensor when omitted.
         protocol: measurements of a frame, or their name or CSV file as for `Protocol.from_name`;
             all pairs of electrodes when omitted.
-        fixture: device that bends the sensor, or the path of its TOML file; the default clamp when
-            omitted.
+        fixture: device that bends the sensor, or its TOML file; the default clamp when omitted.
         mechanics: materials, or the path of their TOML file; gel in Ecoflex when omitted.
         period: time from frame to frame [s]; the AD5940's when omitted.
 
