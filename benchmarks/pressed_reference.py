@@ -169,8 +169,7 @@ class MixedSolid:
     """Finite-strain equilibrium of a mesh of several neo-Hookean materials, by NGSolve.
 
     Stationary points of int mu/2 (J^(-2/3) tr F^T F - 3) + q (J - 1) - q^2 / (2 kappa) dV, with
-    displacements of order p and discontinuous mean stresses q of order p - 2, which are eliminated
-    cell by cell.
+    displacements of order p and discontinuous mean stresses q of order p - 2, eliminated by cells.
 
     Attributes:
         mesh: an `ngsolve.Mesh` [mm].

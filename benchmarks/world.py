@@ -2,8 +2,7 @@
 
 Errors are those of the signal: norm of the error of the 28 relative changes over their norm; on a
 bent and pressed sensor of what the presses change, model and reference each less its own bend. The
-deformation of each model is evaluated on the mesh of the reference, so that the forward model has
-no part in the error.
+deformation of each model is evaluated on the mesh of the reference: meshes have no part in it.
 """
 
 import json

@@ -94,6 +94,14 @@ def reads_here(monkeypatch):
     monkeypatch.setattr(source, "read_in_subprocess", here)
 
 
+@pytest.fixture(scope="session")
+def sim():
+    """The reference sensor on a fast mesh."""
+    from eitskin import geometry, simulator
+
+    return simulator.Simulator(geometry.SensorDesign.reference(), resolution="fast")
+
+
 @pytest.fixture(scope="module")
 def pipeline():
     """The reference pipeline that ships."""

@@ -173,8 +173,7 @@ def bounds(sets: Mapping[str, Dataset], recipe: Recipe, count: int, seed: int) -
     For the nominal sensor, and the white noise of the recipe's instrument alone. Places: the mean
     distance [mm], against the mean of as many frames of the sensor at that bend as the recipe says,
     the angle unknown. Angles: root mean square [deg], of one frame against a flat reference
-    without noise, touches unknown; frames before the touch may show more. `count` frames of each
-    kind are drawn by `seed`.
+    without noise, touches unknown. `count` frames of each kind are drawn by `seed`.
     """
     simulator = Simulator(recipe.sensor, "fast", recipe.fixture, mechanics=recipe.mechanics)
     rng = np.random.default_rng(seed)

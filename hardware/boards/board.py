@@ -206,8 +206,7 @@ class Connection:
     def frames(self, newest: bool = False) -> Iterator[Frame]:
         """Frames of the board, as `Board.frames` gives them, over all interruptions.
 
-        Raises UnrecoverableError, a DeviceError, where connecting again cannot help: another
-        board answers, or this board was closed.
+        Raises UnrecoverableError where connecting cannot help: another board, or this one closed.
         """
         pause = FIRST_PAUSE
         while True:

@@ -2,8 +2,7 @@
 
 Lines of one measurement carry no number and no sign of a frame's beginning. A frame begins at an
 agreed line, the mark, or after a pause longer than the usual interval of lines. A frame with more
-or fewer lines than the protocol has measurements is lost and counted: no value is ever taken for
-that of another measurement.
+or fewer lines than measurements is lost and counted: no value is ever taken for that of another.
 """
 
 import math

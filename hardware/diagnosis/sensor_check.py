@@ -288,8 +288,7 @@ def corrected_wiring(
     """Fewest exchanges of two electrodes, or the one channel left out, that make a good fit.
 
     Returns the pairs exchanged, the channel left out or None, and the fit. Nothing is exchanged or
-    left out where the fit is good without, or where neither makes the fit good. The arguments are
-    those of `fit_contacts`.
+    left out where the fit is good without, or where neither makes it good.
     """
     values, protocol, columns = np.abs(checked.value), checked.protocol, _columns(checked)
     given_wiring = _least_squares(values[None], usable[None], columns)[0]

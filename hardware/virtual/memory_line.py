@@ -20,8 +20,7 @@ class MemoryLine(Closeable):
 
     Without a period a frame is measured for each read that finds none: which frames are read
     depends on the requests alone, not on how fast the host or the machine is. With a period frames
-    are due at that pace, and those that a slow host has no room for are skipped. Delays of faults
-    pass in real time.
+    are due at that pace, and those without room are skipped. Delays of faults pass in real time.
 
     Attributes:
         firmware: firmware of the board.

@@ -5,9 +5,8 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from command_line import run
 
-from eitskin.cli.main import app
 from eitskin.datasets import Dataset, save_dataset
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.hardware.diagnosis.checked_frames import FindingKind
@@ -160,27 +159,22 @@ def test_status_bits_and_values_that_are_no_numbers_count():
 # ---- the command ----
 
 
-def run(*arguments):
-    return CliRunner().invoke(app, ["check", *arguments])
-
-
 @pytest.mark.slow
 def test_the_command_checks_recordings_of_any_protocol(tmp_path):
     meter = FourTerminalMeter(sink=0.2, idle=0.05, sense_plus=0.1, reads="magnitude")
     np.savez(tmp_path / "rig.npz", u=frames(OPPOSITE, meter).real)
     OPPOSITE.to_file(tmp_path / "table.csv")
-    options = ("--recording", str(tmp_path / "rig.npz"), "--values", "u", "--protocol")
-    result = run(*options, str(tmp_path / "table.csv"), "--json")
-    assert result.exit_code == 4
-    said = json.loads(result.stdout)
+    options = ("check", "--recording", tmp_path / "rig.npz", "--values", "u", "--protocol")
+    said = json.loads(run(*options, tmp_path / "table.csv", "--json", code=4).stdout)
     assert [each["what"] for each in said["findings"]] == ["swapped drives"]
     assert said["laws"][0]["relations"] == 16
-    assert isinstance(run(*options, "adjacent:8").exception, DataError)
+    with pytest.raises(DataError):
+        run(*options, "adjacent:8")
     folder = tmp_path / "set"
     save_dataset(Dataset.from_arrays(frames(SHARED), protocol=SHARED), folder)
-    result = run("--recording", str(folder))
-    assert result.exit_code == 0
+    result = run("check", "--recording", folder, code=0)
     assert "healthy" in result.stdout
     assert "reciprocity: 28 compared" in result.stderr
-    for wrong in (("reference.eitmodel", "--recording", str(folder)), ("--values", "u")):
-        assert isinstance(run(*wrong).exception, ConfigurationError)
+    for wrong in (("reference.eitmodel", "--recording", folder), ("--values", "u")):
+        with pytest.raises(ConfigurationError):
+            run("check", *wrong)

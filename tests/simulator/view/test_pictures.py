@@ -54,6 +54,12 @@ def test_lines_of_current_in_a_bar_are_straight_and_carry_its_density(kind) -> N
         assert quarters.min() > 0.5 * quarters.mean()
 
 
+def test_pictures_are_not_mirrored() -> None:
+    for direction, right in (((0.0, -1.0, 0.0), (1, 0, 0)), ((1.0, 0.0, 0.0), (0, 1, 0))):
+        panel = drawing.Panel("", np.zeros((1, 3)), print, direction=np.array(direction))
+        assert np.array_equal(panel.axes, [right, (0, 0, 1)])
+
+
 @pytest.mark.slow
 def test_potential_and_current_of_a_drive_pair_are_drawn(tmp_path) -> None:
     model = ForwardModel(BAR, ((1, 1), FEW))
