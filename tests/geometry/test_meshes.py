@@ -76,8 +76,8 @@ def test_cells_are_fine_at_the_electrode_edges_and_coarse_elsewhere(slab):
 def test_lines_have_the_size_wanted_at_every_distance_from_an_edge(edge) -> None:
     grading = Grading(2e-6, 5e-3, 0.2)
     lines = graded_lines(0.15, {edge}, (), grading)
-    middle = 0.5 * (lines[1:] + lines[:-1])
-    assert np.diff(lines) == pytest.approx(grading.size(np.abs(middle - edge)), rel=0.04)
+    sizes = grading.size(np.abs(0.5 * (lines[1:] + lines[:-1]) - edge))
+    assert np.diff(lines) == pytest.approx(sizes, rel=0.04)
 
 
 @pytest.mark.parametrize(

@@ -279,9 +279,8 @@ def test_a_recording_replays_to_identical_lines(tmp_path):
         moment = ("wall_time", "latency_ms", "rate_hz", "dropped", "skipped", "reconnections")
         return [{k: v for k, v in line.items() if k not in moment} for line in found]
 
-    folder = tmp_path / "run"
-    live = lines("--board", uri, "--frames", "14", "--record", str(folder))
-    assert lines("--board", f"replay:{folder}") == live
+    live = lines("--board", uri, "--frames", "14", "--record", tmp_path / "run")
+    assert lines("--board", f"replay:{tmp_path / 'run'}") == live
     assert {line["session"] for line in live} == {1, 2}
     assert live[-1]["lost"] == 1
     assert live[8]["bad_channels"] == {"0-5": "not finite"}
@@ -292,8 +291,7 @@ def test_one_value_of_the_wrong_sign_is_left_out_and_many_are_no_sensor_at_rest(
     layout = pipeline.layout
     noisy = layout.reference * (1 + 2e-4 * np.random.default_rng(0).standard_normal(28))
     good = Frame(noisy, layout.protocol, frequency=layout.frequency)
-    numbers = np.arange(28)
-    for turned in (numbers == 5, numbers >= 0, numbers >= 13):
+    for turned in ((numbers := np.arange(28)) == 5, numbers >= 0, numbers >= 13):
         values = np.where(turned, -noisy, noisy if turned[5] else np.nan)
         later = dataclasses.replace(good, impedance=values, number=1, time=0.3)
         pipeline.reset()

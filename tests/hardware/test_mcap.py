@@ -240,8 +240,8 @@ def recording(pipeline, tmp_path):
 
 def test_the_command_writes_what_the_pipeline_says(recording, pipeline, tmp_path) -> None:
     out = tmp_path / "run.mcap"
-    words = ("export", "mcap", tmp_path / "recording", "--out", out)
-    said = printed_json(*words, "--model", "reference.eitmodel")
+    words = (tmp_path / "recording", "--out", out, "--model", "reference.eitmodel")
+    said = printed_json("export", "mcap", *words)
     assert (said["frames"], said["estimates"], said["messages"]) == (3, 3, 17)
     found = read(out)
     pipeline.reset()

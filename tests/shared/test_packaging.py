@@ -95,7 +95,7 @@ def test_no_module_is_too_long() -> None:
     modules = [path for folder in (*FOLDERS, "tests") for path in (ROOT / folder).rglob("*.py")]
     assert len(modules) > 300
     lines = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in modules}
-    most = {path: 505 if path.is_relative_to(ROOT / "tests") else 475 for path in lines}
+    most = {path: 505 if path.is_relative_to(ROOT / "tests") else 490 for path in lines}
     assert {path.name: count for path, count in lines.items() if count > most[path]} == {}
 
 

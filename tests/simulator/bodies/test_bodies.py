@@ -150,7 +150,7 @@ def test_a_ball_first_meets_a_slope_beside_its_axis_with_fine_cells_below(
     pads = tuple(Electrode(x, 0.01, 0.004, on="surface", z=0.0) for x in (0.01, 0.03))
     wedge = SensorDesign(surface, surface.height, pads, encapsulated_thickness=surface.height)
     press = BodyPress(wedge, [Touch(*axis, depth=1e-4, indenter=ball)], BARE, COARSE)
-    rise = 0.004 * (np.hypot(1.0, np.hypot(*slope)) - 1.0)
+    rise = 0.004 * (np.linalg.norm([1.0, *slope]) - 1.0)
     assert press._lowest == pytest.approx([0.010 + rise], abs=1e-5)
     (below,) = near
     apart = np.linalg.norm(below[:, :2] - axis, axis=1)
