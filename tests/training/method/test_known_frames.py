@@ -94,7 +94,7 @@ FAR = FrameLabel(0.0, (TouchLabel(75.0, 30.0),))
         (lambda: known([REST, BENT], [3.0, 3.1]), FrameError, "times those"),
         (lambda: FrameLabel(float("inf")), DataError, "angle up to 360"),
         (lambda: TouchLabel(0.1, 0.03, 0.0), DataError, "above 0 N"),
-        (lambda: TouchLabel(float("nan"), 0.03), DataError, "place"),
+        (lambda: TouchLabel(float("nan"), 0.03), DataError, "position"),
         (lambda: KnownFrames.from_frames(of_two(), None, SPEC), ConfigurationError, "2 specimens"),
         (
             lambda: KnownFrames.from_frames(dataset(), [REST], SPEC),
