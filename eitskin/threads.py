@@ -4,9 +4,11 @@ On products of small matrices more threads wait for each other longer than they 
 """
 
 import os
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterator, Sized
 from contextlib import contextmanager
 from functools import lru_cache
+from multiprocessing import resource_tracker
 
 from threadpoolctl import ThreadpoolController
 
@@ -39,12 +41,29 @@ def _controller() -> ThreadpoolController:
     return ThreadpoolController()
 
 
+@lru_cache(maxsize=1)
+def _forgive_killed_tracker() -> None:
+    """Let a run succeed in silence though Python's tracker of semaphores was killed.
+
+    The next one knows none of those before, and would print an error for each that is released.
+    """
+    warnings.filterwarnings("ignore", "resource_tracker: process died", UserWarning)
+    release = resource_tracker.unregister
+
+    def register_first(name: Sized, kind: str) -> None:
+        resource_tracker.register(name, kind)  # twice is as good as once
+        release(name, kind)
+
+    resource_tracker.unregister = register_first
+
+
 @contextmanager
 def one_thread_per_process() -> Iterator[None]:
     """Limit processes started meanwhile to one thread of linear algebra each.
 
     More threads would compete for the cores, and sums would depend on the number of threads.
     """
+    _forgive_killed_tracker()
     before = {name: os.environ.get(name) for name in _LIMITS}
     os.environ.update(dict.fromkeys(_LIMITS, "1"))
     try:
