@@ -50,9 +50,9 @@ def _forgive_killed_tracker() -> None:
     warnings.filterwarnings("ignore", "resource_tracker: process died", UserWarning)
     release = resource_tracker.unregister
 
-    def register_first(name: Sized, kind: str) -> None:
-        resource_tracker.register(name, kind)  # twice is as good as once
-        release(name, kind)
+    def register_first(name: Sized, rtype: str) -> None:
+        resource_tracker.register(name, rtype)  # twice is as good as once
+        release(name, rtype)
 
     resource_tracker.unregister = register_first
 
