@@ -19,12 +19,21 @@ from eitskin.benchmarks.life_world import (
     KNOWN_DEG,
     NOISE,
     OPENING,
+    PAIR_FORCE,
+    PAIR_FRAMES,
+    PAIRS,
     Event,
     Stream,
     lives,
 )
 from eitskin.benchmarks.results import Columns, Progress, Report, ReportTable, make_results
 from eitskin.datasets.store.schema import State
+from eitskin.geometry.deformation.fixtures import Bend
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.simulator.instrument.instrument import Instrument
+from eitskin.simulator.scene.scene import Scene, Touch
+from eitskin.simulator.simulator import Simulator
+from eitskin.training.evaluation.cramer_rao import scene_derivatives
 from eitskin.training.evaluation.scores import match, root_mean_square
 from eitskin.training.method.predictions import Estimate
 from eitskin.training.pipeline.pipeline import Pipeline
@@ -48,6 +57,14 @@ _COLUMNS: Columns = {
     "/ SE ": ("angle, error over standard error", ".3g", 1.0),
     "force [N]": ("force, bias [N]", "+.2f", 1.0),
     "delay": ("delay [frames]", ".2g", 1.0),
+}
+RESOLVED = 0.010  # m, within which both touches of a pair are to be found
+_PAIR_COLUMNS: Columns = {
+    "distance [mm]": ("distance [mm]", ".0f", 1.0),
+    "weaker force": ("share", ".2f", 1.0),
+    "bend [deg]": ("bend [deg]", ".0f", 1.0),
+    "resolved [%]": ("resolved", ".0f", 100.0),
+    "bound [mm]": ("bound [mm]", ".2g", 1.0),
 }
 
 
@@ -155,6 +172,29 @@ def judge(pipeline: Pipeline, stream: Stream, frames: Sequence[Any], event: Even
     return found
 
 
+def resolves(pipeline: Pipeline, stream: Stream, frames: Sequence[Any]) -> bool:
+    """Whether two touches are found within `RESOLVED` in the last frame of a session of a pair."""
+    pipeline.reset()
+    touches = [pipeline.process(frame).touches for frame in frames][-1] or ()
+    places, true = np.array([[t.x, t.y] for t in touches]).reshape(-1, 2), stream.touches[-1]
+    rows, columns = match(true[:, :2], places)
+    errors = np.linalg.norm(true[rows, :2] - places[columns], axis=1)
+    return len(places) == len(errors) == 2 and bool((errors <= RESOLVED).all())
+
+
+def pair_bound(board: Instrument, distance: float, ratio: float, angle_deg: float) -> float:
+    """Cramer-Rao bound [mm] of the place of the weaker touch of a pair of `PAIRS`.
+
+    The pair is along x in the middle, and seen in as many frames as its reference.
+    """
+    x, y = 0.075 - 0.5 * distance, 0.030
+    pair = Touch(x, y, PAIR_FORCE), Touch(x + distance, y, PAIR_FORCE * ratio)
+    simulator = Simulator(SensorDesign.reference(), "coarse")
+    derivatives = scene_derivatives(simulator, Scene(Bend(angle_deg), pair))
+    noise = derivatives.noise(board, float(np.abs(derivatives.resistance).max()))
+    return 1e3 * float(derivatives.bound(noise / np.sqrt(PAIR_FRAMES)).place[1])
+
+
 def run(
     path: Path,
     folder: Path,
@@ -179,6 +219,7 @@ def run(
         count = max(1, round(SENSORS_AN_HOUR * hours))
     all_judged: dict[str, Judgements] = {name: Judgements() for name in (*EVENTS, ALL_EVENTS)}
     trained = Pipeline.load(path)
+    resolved: dict[tuple[float, ...], list[bool]] = {cell: [] for cell in PAIRS}
     for number, life in enumerate(lives(folder, seed, count, progress)):
         low, high = np.log(NOISE)
         parts = life.board, life.protocol, trained.layout.frequency
@@ -194,6 +235,14 @@ def run(
             for each in (all_judged[name], all_judged[ALL_EVENTS]):
                 for part in Judgements.__slots__:
                     getattr(each, part).extend(getattr(judgements, part))
+        for place, (cell, stream) in enumerate(life.pairs.items()):
+            frames = stream.frames(*parts, 1.0, (seed, number, place, 2))
+            resolved[cell].append(resolves(replace(trained), stream, frames))
+    pairs: list[dict[str, Any]] = [
+        {"distance [mm]": 1e3 * cell[0], "share": cell[1], "bend [deg]": cell[2]}
+        | {"resolved": np.mean(found).item(), "bound [mm]": pair_bound(life.board, *cell)}
+        for cell, found in resolved.items()
+    ]
     rows = [judgements.row(name) for name, judgements in all_judged.items()]
     figures = [
         (f"{row['event']} / {name}", value)
@@ -201,6 +250,11 @@ def run(
         for name, value in row.items()
         if name != "event" and value is not None
     ]
+    for (distance, share, angle), pair in zip(resolved, pairs, strict=True):
+        label = f"{1e3 * distance:.0f} mm, {share:.2f}, {angle:.0f} deg"
+        figures += [(f"{label} / {name}", pair[name]) for name in ("resolved", "bound [mm]")]
     options = f"--seed {seed}" + (f" --hours {hours:g}" if hours is not None else "")
     results = make_results("life", figures, began=began, seed=seed, quick=quick, options=options)
-    return Report(results=results, rows=rows, tables=[ReportTable.from_rows(rows, _COLUMNS)])
+    shown = ((rows, _COLUMNS), (pairs, _PAIR_COLUMNS))
+    tables = [ReportTable.from_rows(*each) for each in shown]
+    return Report(results=results, rows=rows, tables=tables)

@@ -6,6 +6,8 @@ interpolated. Contacts, leaks, the board's gain and noise are added to the solve
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +41,11 @@ FORCES = np.array([2.0, 4.0, 7.0, 10.0, 12.0])  # N, of the ramp that is solved
 PATH = 0.060 * np.linspace(0.0, 1.0, 13)  # m, along a slide, that are solved
 MARGIN = 0.010  # m, between touches and the edge
 CLOSE = 0.0155  # m, between the nearest touches that can be solved
+DISTANCES, RATIOS = (0.016, 0.022, 0.030, 0.040, 0.060), (1.0, 0.6, 1.0 / 3.0)
+"""Distances [m] and ratios of forces of the pairs that resolution is mapped by."""
+PAIR_FORCE = 10.0  # N, of the stronger touch of these
+PAIR_ANGLES = (0.0, 30.0)  # deg, of bends that they are on
+PAIR_FRAMES = 4  # flat ones, bent ones and those of the pair that count
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +87,7 @@ class Stream:
         ]
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(eq=False)
 class Sensor:
     """One unseen sensor, and the random numbers of its events.
 
@@ -110,8 +117,14 @@ class Sensor:
 
     def solve_angles(self, angle_deg: ArrayLike) -> Matrices:
         """Electrode impedances at angles (n,) [deg]."""
-        solved = self.solve_scenes([Scene(Bend(angle)) for angle in ANGLES.tolist()])
-        return np.asarray(CubicSpline(ANGLES, solved)(np.asarray(angle_deg)))
+        return np.asarray(self._bends(np.asarray(angle_deg)))
+
+    @cached_property
+    def _bends(self) -> CubicSpline:
+        """Electrode impedances [ohm] by the angle [deg]."""
+        return CubicSpline(
+            ANGLES, self.solve_scenes([Scene(Bend(angle)) for angle in ANGLES.tolist()])
+        )
 
     def places(self, count: int, least: float = 0.030, most: float = np.inf) -> Array:
         """Places (count, 2) [m], each at least and the nearest at most so far from others."""
@@ -237,16 +250,30 @@ def _bend(sensor: Sensor) -> Stream:
     return sensor.stream(sensor.solve_angles(angles), angle_deg=angles)
 
 
+def _held_on_bend(sensor: Sensor, touches: Array, angle_deg: float) -> Stream:
+    """Touches (k, 3) on a sensor that was bent before."""
+    angles = np.concatenate([np.linspace(0.0, angle_deg, 8)[1:], np.full(4, angle_deg)])
+    pressed = np.repeat(sensor.solve_touches(touches, angle_deg)[None], HELD_FRAMES, axis=0)
+    absent = np.full((len(angles), *touches.shape), np.nan)
+    rows = np.concatenate([absent, np.tile(touches, (HELD_FRAMES, 1, 1))])
+    matrices = np.concatenate([sensor.solve_angles(angles), pressed])
+    return sensor.stream(matrices, rows, np.concatenate([angles, np.full(HELD_FRAMES, angle_deg)]))
+
+
 def _bent_touch(sensor: Sensor) -> Stream:
     """A touch on a sensor that was bent before."""
-    angle, touch = sensor.rng.uniform(10.0, 40.0), sensor.touches(1)
-    angles = np.concatenate([np.linspace(0.0, angle, 8)[1:], np.full(4, angle)])
-    pressed = np.repeat(sensor.solve_touches(touch, angle)[None], HELD_FRAMES, axis=0)
-    rows = np.concatenate(
-        [np.full((len(angles), 1, 3), np.nan), np.tile(touch, (HELD_FRAMES, 1, 1))]
-    )
-    matrices = np.concatenate([sensor.solve_angles(angles), pressed])
-    return sensor.stream(matrices, rows, np.concatenate([angles, np.full(HELD_FRAMES, angle)]))
+    angle = sensor.rng.uniform(10.0, 40.0)
+    return _held_on_bend(sensor, sensor.touches(1), angle)
+
+
+def _pair_apart(sensor: Sensor, distance: float, ratio: float, angle_deg: float) -> Stream:
+    """Two touches at a distance [m], the weaker of which has a share of the other's force."""
+    touches = sensor.touches(2, distance, distance + 0.002)
+    touches[:, 2] = PAIR_FORCE * np.array([1.0, ratio])
+    stream, first = _held_on_bend(sensor, touches, angle_deg), OPENING - PAIR_FRAMES
+    pressed = len(stream.angle_deg) - HELD_FRAMES
+    chosen = [*range(first, OPENING), *range(pressed - PAIR_FRAMES, pressed + PAIR_FRAMES)]
+    return Stream(*(getattr(stream, part)[chosen] for part in Stream.__slots__))
 
 
 def _touch_then_bend(sensor: Sensor) -> Stream:
@@ -363,17 +390,19 @@ EVENTS: dict[str, Event] = {
     "taps of one frame": Event(_taps),
     "touched, then bent": Event(_touch_then_bend),
 }
+PAIRS = tuple(product(DISTANCES, RATIOS, PAIR_ANGLES))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorLife:
-    """Streams of one sensor by their events, and frames of known angles."""
+    """Streams of one sensor by their events, of pairs of touches, and frames of known angles."""
 
     world: str
     board: Instrument
     protocol: Protocol
     known: Stream
     streams: dict[str, Stream]
+    pairs: dict[tuple[float, float, float], Stream]
 
 
 def lives(folder: Path, seed: int, count: int, progress: Progress) -> Iterator[SensorLife]:
@@ -382,7 +411,7 @@ def lives(folder: Path, seed: int, count: int, progress: Progress) -> Iterator[S
         progress("streams", number, count)
         world = SENSOR_GROUPS[number % len(SENSOR_GROUPS)]
         recipe, mine = recipes(world, seed, quick=False)[0], number // len(SENSOR_GROUPS)
-        board, path = instrument(recipe, mine), folder / f"sensor-{seed}-{number}.npz"
+        board, path = instrument(recipe, mine), folder / f"streams-{seed}-{number}.npz"
         drawn_specimen = specimen(recipe, mine)
         if not path.is_file():
             parts = recipe.sensor, recipe.resolution, recipe.protocol
@@ -390,6 +419,7 @@ def lives(folder: Path, seed: int, count: int, progress: Progress) -> Iterator[S
             sensor = Sensor(drawn_specimen.simulator(*parts), rng)
             streams = {name: event.make(sensor) for name, event in EVENTS.items()}
             streams["known"] = sensor.stream(sensor.solve_angles(KNOWN_DEG), angle_deg=KNOWN_DEG)
+            streams |= {str(cell): _pair_apart(sensor, *cell) for cell in PAIRS}
             with atomic_file(path) as temporary, temporary.open("wb") as file:
                 np.savez_compressed(
                     file,
@@ -402,9 +432,10 @@ def lives(folder: Path, seed: int, count: int, progress: Progress) -> Iterator[S
         with np.load(path) as arrays:
             stored = {
                 name: Stream(*(arrays[f"{name}/{part}"] for part in Stream.__slots__))
-                for name in ("known", *EVENTS)
+                for name in ("known", *EVENTS, *map(str, PAIRS))
             }
         known_stream = stored.pop("known")
+        pairs = {cell: stored.pop(str(cell)) for cell in PAIRS}
         protocol = recipe.protocol or Protocol.pairwise(len(drawn_specimen.design.electrodes))
-        yield SensorLife(world, board, protocol, known_stream, stored)
+        yield SensorLife(world, board, protocol, known_stream, stored, pairs)
     progress("streams", count, count)

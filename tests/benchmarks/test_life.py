@@ -54,6 +54,7 @@ def test_streams_show_what_they_say(tmp_path, monkeypatch):
     """One sensor: frames as many as truths, an opening that is flat, and solved changes."""
     names = ("touch, held and released", "one contact", "step of the gain", "leak of 100 kohm")
     monkeypatch.setattr(life_world, "EVENTS", {name: EVENTS[name] for name in names})
+    monkeypatch.setattr(life_world, "PAIRS", ())
     (life,) = life_world.lives(tmp_path, 0, 1, lambda *_: None)
     (again,) = life_world.lives(tmp_path, 0, 1, lambda *_: None)
     for name, stream in life.streams.items():

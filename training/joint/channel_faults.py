@@ -256,8 +256,9 @@ def fit_with_fault(
             allowance = 3 * (touches - len(alternative.at.touches)) + ALLOWANCE
             sigma = misfit_sigma(misfit - gain, degrees_of_freedom - 1)
             likely = misfit - gain <= found.whole[1] + allowance and sigma <= ACCEPTED_SIGMA
-        fewer = found.objective.without_measurements(fault.members)
-        if not likely or fewer.combined.count < len(fewer.combined.good) // 2:
+        combined = found.objective.combined.drop(fault.members)
+        fewer = replace(found.objective, combined=combined)
+        if not likely or combined.count < len(combined.good) // 2:
             continue
         again = prune(levenberg_marquardt(fewer, alternative.unknowns, STEPS, TOLERANCE))
         if again.whole_sigma < ACCEPTED_SIGMA:

@@ -10,6 +10,7 @@ from scipy.optimize import nnls
 from scipy.spatial.distance import pdist
 from scipy.special import ndtr
 
+from eitskin.datasets.store.schema import State
 from eitskin.errors import DataError
 from eitskin.training.joint.model_selection import REPORTED_SIGMA, TOUCHED_SIGMA, FrameFit
 from eitskin.training.joint.objective import TOUCH_THRESHOLD, misfit_sigma
@@ -22,6 +23,7 @@ SPECIMEN_SPREAD = 0.008
 Array = NDArray[np.float64]
 
 FAINT_GAIN = 12.0  # decrease of the misfit by a touch, which chance exceeds in 1 % of idle frames
+FLAT_DEVIATIONS, WIDE_DEG = 2.0, 4.0  # a bend below these, of a standard error above, may be none
 DECIDED = 2.0  # least difference of evidence from its threshold, where a fit decides on touches
 
 PRIOR_TOUCHES = 4  # touches with errors as stated, that count next to the known ones
@@ -32,8 +34,10 @@ STRANGEST = 3.0  # mean square of features, beyond which too few specimens show 
 BLUR = 9.0  # standard errors beyond which 1 - Phi is one to the last digit
 
 
-def fit_problems(found: FrameFit, bend: AngleEstimate, touches: bool) -> tuple[str, ...]:
-    """Warnings about one frame.
+def fit_problems(
+    found: FrameFit, bend: AngleEstimate, touches: bool, chances: Array
+) -> tuple[str, ...]:
+    """Warnings about one frame, by the probabilities of its states too.
 
     Whether `touches` were learned: else the poor fit of the angle says all there is to say.
     """
@@ -56,6 +60,9 @@ def fit_problems(found: FrameFit, bend: AngleEstimate, touches: bool) -> tuple[s
             f"no angle explains this frame ({bend.misfit_sigma:.0f} standard deviations off): do "
             "not rely on it, and begin a new session with the flat sensor"
         )
+    uncertain = bend.deviation_deg > max(WIDE_DEG, abs(bend.angle_deg) / FLAT_DEVIATIONS)
+    if uncertain and np.nanargmax(chances) == State.BEND:
+        problems.append("the sensor may be flat, as far as this frame shows: do not rely on a bend")
     if not touches:
         return tuple(problems)
     count = len(found.touches)

@@ -328,12 +328,12 @@ class JointMethod(Method):
         strength = 1.0 - 0.5 * np.exp(-surplus / (2 * TOUCH_THRESHOLD))
         bends = self.bend_prior.angle_deg if self.bend_prior.bends else None
         return Predictions(
-            state_probabilities(found, bend, bends, self.touches)[None],
+            (chances := state_probabilities(found, bend, bends, self.touches))[None],
             np.array([bend.angle_deg]),
             np.array([bend.deviation_deg]),
             map_,
             (FoundTouches.from_arrays(places, strength, force, spread),),
-            (specimen.problems + fit_problems(found, bend, self.touches),),
+            (specimen.problems + fit_problems(found, bend, self.touches, chances),),
         )
 
     def _project_change(self, change: Array, frames: float, age: float) -> CombinedChange:

@@ -8,8 +8,7 @@ Changes, curves and responses are those of K combinations of measurements (`Comb
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -127,10 +126,6 @@ class TouchObjective:
             "spread": (*spread, combinations.forward, combinations.back, response.mismatch),
         }.items():
             object.__setattr__(self, name, value)
-
-    def without_measurements(self, measurements: Sequence[int]) -> "TouchObjective":
-        """The objective with some measurements left out."""
-        return replace(self, combined=self.combined.drop(measurements))
 
     def linearise(self, unknowns: Unknowns) -> Linearisation:
         """Residual and Jacobian at these unknowns."""
