@@ -185,7 +185,11 @@ def _read_union(kind: Any, data: Any, location: Location) -> Any:
         return None
     if len(members) == 1:
         return read(members[0], data, location)
-    if all(map(_is_dataclass, members)):
+    makers = tuple(filter(_is_dataclass, members))
+    if makers and len(makers) < len(members) and not isinstance(data, (Mapping, *makers)):
+        (plain,) = set(members) - set(makers)
+        return read(plain, data, location)
+    if members := makers:
         if isinstance(data, str) and _nameable(members):
             return _member_by_name(members, data, location)
         is_member = isinstance(data, members)

@@ -39,6 +39,12 @@ from eitskin.geometry.deformation.fixtures import (
 from eitskin.geometry.deformation.fixtures import (
     Twist as Twist,
 )
+from eitskin.geometry.design.dispersion import (
+    ColeCole as ColeCole,
+)
+from eitskin.geometry.design.dispersion import (
+    ConductivityTable as ConductivityTable,
+)
 from eitskin.geometry.design.electrode import Electrode as Electrode
 from eitskin.geometry.design.inclusion import (
     Inclusion as Inclusion,

@@ -15,6 +15,9 @@ from eitskin.simulator.electrical.batch import (
     Tolerance as Tolerance,
 )
 from eitskin.simulator.electrical.forward_model import ForwardModel as ForwardModel
+from eitskin.simulator.instrument.gel import (
+    age_gel as age_gel,
+)
 from eitskin.simulator.instrument.instrument import Instrument as Instrument
 from eitskin.simulator.instrument.meter import FourTerminalMeter as FourTerminalMeter
 from eitskin.simulator.instrument.meter_fit import (

@@ -14,6 +14,7 @@ from eitskin.extras import old_names
 from eitskin.frame import Frame
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture
 from eitskin.geometry.deformation.kinematics import Composition, Deformation
+from eitskin.geometry.design.dispersion import FREQUENCY
 from eitskin.geometry.design.outline import Polygon
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.design.sensor import Rigid, SensorDesign, Support, require_fit
@@ -47,7 +48,7 @@ from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.scene import PressedTouch, Scene, Touch, require_bendable
 
 Array = NDArray[np.float64]
-Field: TypeAlias = Callable[[Array], Array]
+Field: TypeAlias = Callable[[Array], NDArray[np.inexact]]
 
 
 @old_names(
@@ -123,7 +124,7 @@ class Simulator:
         self._impedances = SensorImpedances(
             design, resolution, breaks, nominal, self.deformed_layers
         )
-        self._last: tuple[Scene, NDArray[np.inexact]] | None = None
+        self._last: tuple[tuple[Scene, float | None], NDArray[np.inexact]] | None = None
         self._bent: tuple[tuple[Bend, Support], Deformation] | None = None
 
     @property
@@ -251,6 +252,7 @@ class Simulator:
         scene: Scene,
         instrument: Instrument | None = None,
         rng: np.random.Generator | None = None,
+        frequency: float = FREQUENCY,
     ) -> Frame:
         """Frame of `scene`, noise-free unless an `instrument` is given.
 
@@ -260,12 +262,13 @@ class Simulator:
             scene: bend, touches and the like at one moment.
             instrument: adds the errors and the noise of a board, in a session of its own.
             rng: random generator for the instrument.
+            frequency: frequency of the excitation [Hz], for conductivities that depend on it.
 
         Raises:
             ConfigurationError: for a touch off the layer, an angle that cannot be reached, or an
                 instrument without a random generator.
         """
-        matrix = self.impedance_matrix(scene)
+        matrix = self.impedance_matrix(scene, frequency)
         if instrument is not None:
             if rng is None:
                 raise ConfigurationError(
@@ -273,20 +276,31 @@ class Simulator:
                 )
             start, noise = rng.spawn(2)
             session = instrument.session(
-                self.protocol, self.instrument_full_scale(instrument), start
+                self.protocol, self.instrument_full_scale(instrument), start, frequency
             )
             impedances = instrument.terminal_impedances(matrix, self.protocol)
             (impedance,), (status,) = session.measure(impedances[None], np.zeros(1), noise)
-            return Frame(impedance, self.protocol, status=status)
-        return Frame(self._noise_free_values(matrix), self.protocol)
+            return Frame(impedance, self.protocol, frequency=frequency, status=status)
+        return Frame(self._noise_free_values(matrix), self.protocol, frequency=frequency)
 
-    def impedance_matrix(self, scene: Scene) -> NDArray[np.inexact]:
+    def spectrum(self, scene: Scene, frequencies: Sequence[float]) -> NDArray[np.complex128]:
+        """Noise-free measurements [ohm] of a scene at several frequencies [Hz].
+
+        Shape (frequencies, measurements). Raises ConfigurationError as `measure` does, and for a
+        frequency beyond a table of conductivities.
+        """
+        matrices = [self.impedance_matrix(scene, each) for each in frequencies]
+        return self._noise_free_values(np.array(matrices))
+
+    def impedance_matrix(self, scene: Scene, frequency: float = FREQUENCY) -> NDArray[np.inexact]:
         """Impedance matrix of the sensor in a scene [ohm], (electrodes, electrodes).
 
-        The solution of the last scene is cached. Raises ConfigurationError as `measure` does.
+        The solution of the last scene is cached. Arguments and errors as of `measure`.
         """
-        if self._last is None or self._last[0] != scene:
-            self._last = (scene, self._impedances.solve_scenes([scene])[scene])
+        key = scene, None if self.design.resolve_frequency(frequency) is self.design else frequency
+        if self._last is None or self._last[0] != key:
+            solved = self._impedances.solve_scenes([scene], frequency=key[1])
+            self._last = (key, solved[scene])
         return self._last[1]
 
     def measure_all(
@@ -334,7 +348,7 @@ class Simulator:
         """Derivatives of `impedances` by the contact impedances [1/m2], by the adjoint method.
 
         Shape (scenes, electrodes, electrodes, contacts). Raises ConfigurationError for complex
-        contact impedances.
+        contact impedances and conductivities.
         """
         with kernels():
             sensitivities = self._impedances.contact_sensitivities(dict.fromkeys(scenes), tolerance)

@@ -37,6 +37,10 @@ def command(
         str | None,
         typer.Option(help="Support, rigid, plates or free, instead of the scene's."),
     ] = None,
+    frequency: Annotated[
+        list[float] | None,
+        typer.Option(help="Frequency of the excitation [Hz]; give several for a spectrum."),
+    ] = None,
     view: Annotated[Path | None, typer.Option(help="Draw the scene into this PNG file.")] = None,
     color: Annotated[
         Literal["conductance", "strain", "current"] | None,
@@ -63,16 +67,21 @@ def command(
     pair = _drive(view, color, drive, len(design.electrodes))
     sim = sensor.simulator(resolution, design)
     sim.check_scene(what)  # before its presses are solved, which takes minutes
-    flat = sim.measure(simulator.Scene(), _noise_free(board), np.random.default_rng(seed))
-    announce_unsolved(sim, what, output)
-    start = time.perf_counter()
-    frame = sim.measure(what, board, np.random.default_rng(seed))
-    seconds = time.perf_counter() - start
-    output.detail(f"{sim.model.solver.name}, {len(sim.model.mesh.cells)} cells, {seconds:.3f} s")
-    data = _as_data(frame, flat, seconds)
+    spectrum: list[dict[str, Any]] = []
+    for hertz in frequency or [40e3]:
+        rng = np.random.default_rng(seed)
+        flat = sim.measure(simulator.Scene(), _noise_free(board), rng, hertz)
+        if not spectrum:
+            announce_unsolved(sim, what, output)
+        start = time.perf_counter()
+        frame = sim.measure(what, board, np.random.default_rng(seed), hertz)
+        spectrum.append(_as_data(frame, flat, time.perf_counter() - start))
+    cells, seconds = len(sim.model.mesh.cells), sum(data["seconds"] for data in spectrum)
+    output.detail(f"{sim.model.solver.name}, {cells} cells, {seconds:.3f} s")
     touches = [_touch_data(press) for press in sim.presses(what)]
-    shown = Group(_as_table(data), *_touch_tables(touches))
-    output.result(data | {"touches": touches}, shown)
+    tables = [_as_table(data, len(spectrum) > 1) for data in spectrum]
+    data = spectrum[0] if len(spectrum) == 1 else {"spectrum": spectrum}
+    output.result(data | {"touches": touches}, Group(*tables, *_touch_tables(touches)))
     if view is not None:
         draw_scenes(sim, [(_title(scene.stem, what), what)], view, color or "conductance", pair)
         output.note(f"picture: {view}")
@@ -133,10 +142,9 @@ def _relative_change(frame: "simulator.Frame", flat: "simulator.Frame") -> list[
     ]
 
 
-def _as_data(
-    frame: "simulator.Frame", flat: "simulator.Frame", seconds: float
-) -> dict[str, object]:
+def _as_data(frame: "simulator.Frame", flat: "simulator.Frame", seconds: float) -> dict[str, Any]:
     return {
+        "frequency_Hz": frame.frequency,
         "measurements": list(frame.protocol.labels),
         "independent": frame.protocol.rank,
         "impedance_real_ohm": frame.impedance.real.tolist(),
@@ -148,14 +156,15 @@ def _as_data(
     }
 
 
-def _as_table(data: dict[str, Any]) -> Table:
-    """Table of `_as_data`."""
+def _as_table(data: dict[str, Any], with_frequency: bool) -> Table:
+    """Table of `_as_data`, its frequency in the heading of the measurements if wanted."""
+    heading = f"{data['frequency_Hz']:g} Hz" if with_frequency else "measurement"
     figures = ("R, ohm", "X, ohm", "change, ohm", "change, %")
     headings = [Column(figure, justify="right") for figure in figures]
     names = "measurements", "impedance_real_ohm", "impedance_imag_ohm", "change_ohm"
     columns = [*(data[name] for name in names), data["relative_change"]]
     return make_table(
-        ("measurement", *headings),
+        (heading, *headings),
         (
             (label, f"{R:.3f}", f"{X:.3f}", f"{change:+.3f}", _percent(part))
             for label, R, X, change, part in zip(*columns, strict=True)

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from eitskin.datasets.generation.preparation import free_bytes, prepare
-from eitskin.datasets.generation.shard_simulation import FREQUENCY, simulate_shard
+from eitskin.datasets.generation.shard_simulation import simulate_shard
 from eitskin.datasets.recipe.frame_sampling import specimen_numbers
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.folder import make_folder, require_empty
@@ -269,6 +269,6 @@ def _examine(folder: Path, recipe: Recipe, expected_entry: ShardEntry) -> ShardE
     expected = recipe.to_toml(), recipe.seed, "simulated", recipe.measured_protocol, recipe.sensor
     said = data.frequency, data.quantity, bool(read_engine(folder / expected_entry.name))
     sound = len(data) == expected_entry.count and origin == expected
-    sound &= said == (FREQUENCY, recipe.quantity, True)
+    sound &= said == (recipe.excitation_frequency, recipe.quantity, True)
     digest = hashlib.sha256(content).hexdigest()
     return dataclasses.replace(expected_entry, sha256=digest) if sound else None

@@ -34,7 +34,6 @@ from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Simulator
 
 Impedance = NDArray[np.complex128]
-FREQUENCY = 40e3  # Hz, of all simulated frames
 Solved = Mapping[tuple[int, Scene], Impedance]
 
 
@@ -97,7 +96,7 @@ def simulate_frames(recipe: Recipe, indices: Iterable[int]) -> Dataset:
         protocol=protocol,
         source="simulated",
         quantity=recipe.quantity,
-        frequency=FREQUENCY,
+        frequency=recipe.excitation_frequency,
         recipe=recipe.to_toml(),
         seed=recipe.seed,
         design=recipe.sensor,
@@ -127,10 +126,11 @@ def _board(
     The reading, at the session's start, is free of noise; `flat` are the impedances [ohm].
     """
     own = instrument(recipe, number)
-    full_scale = float(np.abs(flat[0]).max())
+    full_scale, frequency = float(np.abs(flat[0]).max()), recipe.excitation_frequency
 
     def session(terms: Instrument) -> Session:
-        return terms.session(protocol, full_scale, generator(recipe, Stream.SESSION, number))
+        rng = generator(recipe, Stream.SESSION, number)
+        return terms.session(protocol, full_scale, rng, frequency)
 
     still = session(replace(own, snr_db=0.0, floor=0.0))
     rng = generator(recipe, Stream.SESSION, number)  # not used: all noise is switched off
@@ -161,7 +161,7 @@ def _solve(recipe: Recipe, samples: Sequence[Sample], skewed: bool) -> Solved:
         for tabulated in dict.fromkeys(tables):
             alike = list(itertools.compress(scenes, (table == tabulated for table in tables)))
             simulator = _simulator(
-                made, recipe.sensor, recipe.resolution, recipe.protocol, tabulated=tabulated
+                made, recipe.nominal_sensor, recipe.resolution, recipe.protocol, tabulated=tabulated
             )
             frames = simulator.measure_all(alike, instrument=board)
             solved |= {(number, scene): row for scene, row in zip(alike, frames, strict=True)}
@@ -189,6 +189,7 @@ def flat_impedance(made: Specimen, recipe: Recipe, board: Instrument) -> Impedan
 
     They are those of the instrument's terminals, (2, measurements) [ohm].
     """
-    simulator = _simulator(made, recipe.sensor, recipe.resolution, recipe.protocol, tabulated=True)
+    nominal = recipe.nominal_sensor
+    simulator = _simulator(made, nominal, recipe.resolution, recipe.protocol, tabulated=True)
     impedance: Impedance = simulator.measure_all([Scene()], instrument=board)[0]
     return impedance

@@ -18,7 +18,8 @@ from eitskin.datasets.recipe.scene_group import (
 from eitskin.datasets.store.schema import LIMITS, MAX_TOUCHES
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.outline import PlaneOutline
-from eitskin.simulator.mechanics.viscoelasticity import Prony, elastic_force
+from eitskin.simulator.mechanics.touch_history import HeldTouch, held_touches, recall_touches
+from eitskin.simulator.mechanics.viscoelasticity import Prony
 from eitskin.simulator.scene.indenters import Cylinder
 from eitskin.simulator.scene.scene import Scene, Touch
 
@@ -29,8 +30,6 @@ MAX_PERIOD = 86400.0
 """Longest time from one frame to the next [s]."""
 
 _ENDLESS = 1e18  # frames, more than any recipe may have
-_NEGLIGIBLE = 1e-3  # residual force of a released touch that is dropped, relative to its force
-_INSTANT = 1e-9  # s; a touch that ends at this moment is released
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,15 +39,6 @@ class EpisodeTouch:
     x: float
     y: float
     force: float = 10.0
-
-
-@dataclass(frozen=True, slots=True)
-class HeldTouch:
-    """A touch held from `start` until `end` [s]."""
-
-    touch: EpisodeTouch
-    start: float
-    end: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,20 +61,8 @@ class Timeline:
         Held touches come first. A released touch is dropped when its residual force is below a
         thousandth of its force.
         """
-        held = [touch for touch in self.touches if touch.start <= time < touch.end]
-        touches = [_scene_touch(each, time - each.start if relaxation else None) for each in held]
-        if relaxation:
-            for each in (touch for touch in self.touches if touch.end <= time):
-                lasted, released = each.end - each.start, max(time - each.end, _INSTANT)
-                if elastic_force(relaxation, 1.0, lasted, released) > _NEGLIGIBLE:
-                    touches.append(_scene_touch(each, lasted, released))
         bend = Bend(float(np.interp(time, self.times, self.angles_deg)))
-        return Scene(bend, tuple(touches))
-
-
-def _scene_touch(held_touch: HeldTouch, lasted: float | None, released: float = 0.0) -> Touch:
-    touch = held_touch.touch
-    return Touch(touch.x, touch.y, touch.force, held=lasted, released=released)
+        return Scene(bend, recall_touches(self.touches, time, relaxation))
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,18 +146,13 @@ class ScriptedEpisode:
         return Timeline(
             tuple(time for time, _ in script),
             tuple(keyframe.angle_deg for _, keyframe in script),
-            tuple(_held_touches(script)),
+            tuple(
+                held_touches(
+                    (time, [Touch(t.x, t.y, t.force) for t in keyframe.touches])
+                    for time, keyframe in [*script[:-1], (script[-1][0], Keyframe(0.0))]
+                )
+            ),
         )
-
-
-def _held_touches(script: list[tuple[float, Keyframe]]) -> Iterator[HeldTouch]:
-    """Touches of keyframes at given times; a touch of several keyframes in a row is held."""
-    begun: dict[EpisodeTouch, float] = {}
-    for time, keyframe in [*script[:-1], (script[-1][0], Keyframe(0.0))]:
-        for touch in [touch for touch in begun if touch not in keyframe.touches]:
-            yield HeldTouch(touch, begun.pop(touch), time)
-        for touch in keyframe.touches:
-            begun.setdefault(touch, time)
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +233,7 @@ class RandomEpisodes:
             positions = draw_positions(amount, outline, self.margin, self.spacing, rng).tolist()
             end = time + sample_uniform(rng, self.hold_s)
             for x, y in positions:
-                yield HeldTouch(EpisodeTouch(x, y, sample_uniform(rng, self.force)), time, end)
+                yield HeldTouch(Touch(x, y, sample_uniform(rng, self.force)), time, end)
             time = end + sample_uniform(rng, self.pause_s)
 
 

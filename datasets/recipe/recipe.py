@@ -18,6 +18,7 @@ from eitskin.datasets.store.schema import LIMITS, MAX_REFERENCE_FRAMES
 from eitskin.errors import ConfigurationError
 from eitskin.extras import old_names
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture, FreeArc, Hinge
+from eitskin.geometry.design.dispersion import FREQUENCY
 from eitskin.geometry.design.outline import PlaneOutline
 from eitskin.geometry.design.sensor import SensorDesign, Support, require_fit
 from eitskin.geometry.design.surface import Surface
@@ -63,6 +64,7 @@ class Recipe:
             Boards differ by `board_loads` of `specimens`.
         specimens: number of sensors and standard deviations between them.
         mounts: clamps and stiffnesses that specimens have in turn, instead of `fixture`.
+        frequency: frequency of the excitation [Hz]; 40 kHz when omitted.
         reference_frames: number of noisy untouched frames averaged for a `touch_reference`.
 
     Example:
@@ -87,6 +89,7 @@ class Recipe:
     specimens: Specimens = field(default_factory=Specimens)
     mounts: Mounts = field(default_factory=Mounts)
     reference_frames: int = 1
+    frequency: float | None = None
 
     def __post_init__(self) -> None:
         """Check the recipe; the ConfigurationError lists everything that is wrong."""
@@ -163,7 +166,17 @@ class Recipe:
             mount = specimen % self.mounts.count
             fixture, mechanics = self.mounts.clamp(mount), self.mounts.mechanics(mount, mechanics)
         own = SensorGrid.from_nominal(self.sensor, fixture, mechanics)
-        return Specimen(self.sensor, fixture, mechanics, own.override(self.grid))
+        return Specimen(self.nominal_sensor, fixture, mechanics, own.override(self.grid))
+
+    @property
+    def excitation_frequency(self) -> float:
+        """Frequency of the excitation [Hz]."""
+        return FREQUENCY if self.frequency is None else self.frequency
+
+    @property
+    def nominal_sensor(self) -> SensorDesign:
+        """The sensor with its conductivities at the frequency of the excitation."""
+        return self.sensor.resolve_frequency(self.excitation_frequency)
 
     @property
     def snapshots(self) -> int:
@@ -267,6 +280,7 @@ class Recipe:
                 f"protocol is for {self.protocol.n_electrodes} electrodes, the sensor has "
                 f"{electrodes}"
             )
+        yield from refusal(lambda: self.nominal_sensor, "frequency: ")
         arguments = self.measured_protocol, 1.0, np.random.default_rng(0)
         yield from refusal(lambda: self.instrument.session(*arguments), "instrument: ")
 

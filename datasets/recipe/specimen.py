@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from eitskin.datasets.recipe.scene_group import count_problems, range_problem, refusal
 from eitskin.datasets.store.schema import LIMITS
 from eitskin.geometry.deformation.fixtures import Clamp, Fixture, FreeArc, Hinge
+from eitskin.geometry.design.dispersion import scale_conductivity
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import Plates, SensorDesign, Support
@@ -305,8 +306,12 @@ def truncated_normal(rng: np.random.Generator, size: int) -> Array:
 def scaled_conductivity(design: SensorDesign, factor: float) -> SensorDesign:
     """Design with every conductivity times `factor`."""
     if not design.layers:
-        return dataclasses.replace(design, conductivity=factor * design.conductivity)
-    layers = (dataclasses.replace(x, conductivity=factor * x.conductivity) for x in design.layers)
+        own = scale_conductivity(design.conductivity, factor)
+        return dataclasses.replace(design, conductivity=own)
+    layers = (
+        dataclasses.replace(x, conductivity=scale_conductivity(x.conductivity, factor))
+        for x in design.layers
+    )
     return dataclasses.replace(design, layers=tuple(layers))
 
 

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from eitskin.bounds import LONGEST, require_length
 from eitskin.errors import ConfigurationError
+from eitskin.files import shorten_text
 
 Array = NDArray[np.float64]
 
@@ -112,3 +113,20 @@ def require_contact_impedance(value: complex) -> None:
             f"{GREATEST_IMPEDANCE:g} ohm m2 in magnitude, with a positive real part, got "
             f"{value!r} ohm m2; it is the impedance of a contact times its area"
         )
+
+
+def read_contact_impedances(given: ArrayLike, count: int) -> NDArray[np.inexact]:
+    """Contact impedances of `count` electrodes [ohm m2] from one or all of them, (count,).
+
+    Raises ConfigurationError for others than numbers that can be.
+    """
+    try:
+        z = np.broadcast_to(np.asarray(given, dtype=np.complex128), count)
+    except (TypeError, ValueError) as error:
+        raise ConfigurationError(
+            f"contact_impedance must be a number, or one for each of {count} electrodes, got "
+            f"{shorten_text(repr(given))}"
+        ) from error
+    for each in z:
+        require_contact_impedance(complex(each))
+    return z if z.imag.any() else z.real

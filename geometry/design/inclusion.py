@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from eitskin.bounds import LONGEST, require_in_range
 from eitskin.errors import ConfigurationError
 from eitskin.extras import old_names
-from eitskin.geometry.design.outline import Disc, PlaneOutline, Rectangle
+from eitskin.geometry.design.dispersion import Dispersion, require_conductivity
+from eitskin.geometry.design.outline import Disc, PlaneOutline, Polygon, Rectangle
 
 Array = NDArray[np.float64]
 
@@ -23,7 +24,7 @@ _MIN_DISTANCE = 1e-3  # of a rim from others, over its extent
 @old_names(meshed="mesh_outline")
 @dataclass(frozen=True, slots=True)
 class Inclusion:
-    """Part of a layer through its whole thickness.
+    """Upright part of a layer, through its whole thickness or from one height to another.
 
     Examples:
         >>> from eitskin.geometry import Inclusion
@@ -33,35 +34,52 @@ class Inclusion:
     Attributes:
         outline: outline of the part.
         x, y: middle of the outline's bounding box [m].
-        conductivity: inside, complex for an admittivity [S/m].
+        conductivity: inside, as of a design [S/m].
+        low: height of the bottom above that of the layer [m].
+        high: height of the top [m]; the top of the layer when omitted.
     """
 
     outline: PlaneOutline
     x: float
     y: float
-    conductivity: complex
+    conductivity: complex | Dispersion
+    low: float = 0.0
+    high: float | None = None
 
     def __post_init__(self) -> None:
         """Check that the numbers are finite, and the conductivity's real part positive."""
         require_in_range("inclusion x", self.x, -LONGEST, LONGEST, "m")
         require_in_range("inclusion y", self.y, -LONGEST, LONGEST, "m")
-        if not (np.isfinite(self.conductivity) and np.real(self.conductivity) > 0.0):
-            raise ConfigurationError(
-                "inclusion conductivity must be finite with a positive real part, got "
-                f"{self.conductivity} S/m"
-            )
+        require_conductivity("inclusion conductivity", self.conductivity)
 
     @classmethod
-    def cylinder(cls, x: float, y: float, radius: float, conductivity: complex) -> "Inclusion":
+    def cylinder(
+        cls, x: float, y: float, radius: float, conductivity: complex | Dispersion
+    ) -> "Inclusion":
         """Upright cylinder about (x, y) of a radius [m]."""
         return cls(Disc(radius), x, y, conductivity)
 
     @classmethod
     def box(
-        cls, x: float, y: float, length: float, width: float, conductivity: complex
+        cls,
+        x: float,
+        y: float,
+        length: float,
+        width: float,
+        conductivity: complex | Dispersion,
     ) -> "Inclusion":
         """Box about (x, y) of a length along x and a width along y [m]."""
         return cls(Rectangle(length, width), x, y, conductivity)
+
+    @classmethod
+    def ellipse(
+        cls, x: float, y: float, half: tuple[float, float], conductivity: complex | Dispersion
+    ) -> "Inclusion":
+        """Upright cylinder about (x, y) with an ellipse of half axes along x and y [m]."""
+        step = 2.0 * math.pi / _CHORDS
+        angle, radii = step * np.arange(_CHORDS), np.array(half) * math.sqrt(step / math.sin(step))
+        rim = radii * (1.0 + np.column_stack([np.cos(angle), np.sin(angle)]))
+        return cls(Polygon(tuple(map(tuple, rim.tolist()))), x, y, conductivity)
 
     @property
     def mesh_outline(self) -> PlaneOutline:
@@ -90,12 +108,27 @@ class Inclusion:
         )
 
     def contains(self, points: Array) -> NDArray[np.bool_]:
-        """Whether points (..., 2 or 3) [m] are within the meshed outline, (...)."""
-        return self.mesh_outline.contains(points[..., :2] - self.origin)
+        """Whether points (..., 3) [m] are within the meshed part, (...)."""
+        z, high = points[..., 2], math.inf if self.high is None else self.high
+        within = self.mesh_outline.contains(points[..., :2] - self.origin)
+        return np.asarray(within & (z > self.low) & (z < high))
 
 
-def require_inside(inclusions: Sequence[Inclusion], outline: PlaneOutline) -> None:
-    """Raise ConfigurationError for rims that cross or touch each other or the layer's rim."""
+def require_inside(
+    inclusions: Sequence[Inclusion], outline: PlaneOutline, thickness: float
+) -> None:
+    """Raise ConfigurationError for rims that cross or touch each other or the layer's rim.
+
+    And for heights that are not within the thickness [m], or closer than a thousandth of it.
+    """
+    for number, each in enumerate(inclusions):
+        heights = 0.0, each.low, each.high or thickness, thickness
+        gaps = [(b - a) / thickness for a, b in itertools.pairwise(heights)]
+        if gaps[1] < _MIN_DISTANCE or any(0.0 != gap < _MIN_DISTANCE for gap in gaps):
+            raise ConfigurationError(
+                f"inclusion {number} must rise from low to high within the layer's {thickness:g} "
+                f"m, got {each.low:g} to {each.high} m"
+            )
     rims = [
         each.mesh_outline.rim_points(
             np.linspace(0.0, each.mesh_outline.perimeter, _SAMPLES, endpoint=False)

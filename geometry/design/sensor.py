@@ -1,5 +1,6 @@
 """Design of a sensor: outline, thickness, electrodes, conductivity, support."""
 
+import dataclasses
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -21,6 +22,11 @@ from eitskin.config import Location, build, choose, read, read_toml, to_toml, wr
 from eitskin.errors import ConfigurationError
 from eitskin.extras import old_names
 from eitskin.geometry.design.contact_areas import contact_areas, require_disjoint
+from eitskin.geometry.design.dispersion import (
+    Dispersion,
+    require_conductivity,
+    resolve_conductivity,
+)
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Outline, Rectangle
 from eitskin.geometry.design.patches import Patch
@@ -134,7 +140,7 @@ def require_fit(support: Support, outline: Outline) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """Conductive sheet of a layered sensor: thickness [m], conductivity [S/m].
+    """Conductive sheet of a layered sensor: thickness [m], conductivity [S/m], as of a design.
 
     Example:
         >>> from eitskin.geometry import Layer
@@ -143,11 +149,11 @@ class Layer:
     """
 
     thickness: float
-    conductivity: float
+    conductivity: complex | Dispersion
 
     def __post_init__(self) -> None:
         require_length("layer thickness", self.thickness)
-        require_positive("layer conductivity", self.conductivity, "S/m")
+        require_conductivity("layer conductivity", self.conductivity)
 
 
 @old_names(conductivity_at="evaluate_conductivity", expanded="expand_data")
@@ -160,7 +166,8 @@ class SensorDesign:
             body extends from z = 0 to `thickness`; a surface keeps the coordinates of its file.
         thickness: thickness of the conductive body, along z [m].
         electrodes: list of electrodes, in the order of their numbers.
-        conductivity: conductivity of the body [S/m].
+        conductivity: conductivity of the body [S/m], complex for an admittivity, or by the
+            frequency: a `ColeCole` or a `ConductivityTable`.
         layers: sheets from the bottom upwards, instead of one conductivity; their thicknesses add
             up to `thickness`.
         encapsulated_thickness: thickness of body and encapsulation together, body centred [m].
@@ -176,7 +183,7 @@ class SensorDesign:
     outline: Outline
     thickness: float
     electrodes: tuple[Electrode, ...]
-    conductivity: float = 1.0
+    conductivity: complex | Dispersion = 1.0
     layers: tuple[Layer, ...] = ()
     encapsulated_thickness: float = 0.012
     support: Support = field(default_factory=Rigid)
@@ -186,7 +193,7 @@ class SensorDesign:
         for name in ("electrodes", "layers"):  # lists are taken, too: designs are keys of tables
             object.__setattr__(self, name, tuple(getattr(self, name)))
         self._check_thickness()
-        require_positive("conductivity", self.conductivity, "S/m")
+        require_conductivity("conductivity", self.conductivity)
         self._check_layers()
         require_fit(self.support, self.outline)
         require_count("the number of electrodes", len(self.electrodes), 2, MOST_ELECTRODES)
@@ -242,6 +249,13 @@ class SensorDesign:
         z = np.array([electrode.contact_impedance for electrode in self.electrodes])
         return z if np.any(np.imag(z)) else np.real(z)
 
+    @property
+    def is_complex(self) -> bool:
+        """Whether a contact impedance, or a conductivity at 40 kHz, is complex."""
+        values = [self.conductivity, *(layer.conductivity for layer in self.layers)]
+        own = any(np.iscomplexobj(resolve_conductivity(value)) for value in values)
+        return own or np.iscomplexobj(self.contact_impedance)
+
     def edges(self, spacing: float | None = None) -> Array:
         """Points (k, 3) [m] along the electrodes' edges, where potentials are singular.
 
@@ -261,20 +275,36 @@ class SensorDesign:
         contacts = contact_areas(self.electrodes, self.outline, self.thickness)
         return np.concatenate([contact.edges(spacing) for contact in contacts])
 
-    def evaluate_conductivity(self, points: ArrayLike) -> Array:
-        """Conductivity (...) [S/m] at points (..., 3) [m].
+    def resolve_frequency(self, frequency: float | None) -> "SensorDesign":
+        """Design whose conductivities are the numbers at a frequency [Hz]; 40 kHz for None.
+
+        Raises ConfigurationError for a frequency that cannot be, or is beyond a table.
+        """
+        values = (self.conductivity, *(layer.conductivity for layer in self.layers))
+        own, *sheets = (resolve_conductivity(value, frequency) for value in values)
+        if not any(isinstance(value, Dispersion) for value in values):
+            return self
+        layers = (
+            dataclasses.replace(layer, conductivity=sheet)
+            for layer, sheet in zip(self.layers, sheets, strict=True)
+        )
+        return dataclasses.replace(self, conductivity=own, layers=tuple(layers))
+
+    def evaluate_conductivity(self, points: ArrayLike) -> NDArray[np.inexact]:
+        """Conductivity (...) [S/m] at points (..., 3) [m], complex where that of any layer is.
 
         A point between two layers belongs to the upper one, an outer point to the nearest layer.
+        Where conductivities depend on the frequency, they are those at 40 kHz.
         """
         places = np.asarray(points, dtype=float)
         require_axes("points", places, 3)
         z = places[..., 2]
         if not self.layers:
-            return np.full(z.shape, float(self.conductivity))
+            return np.full(z.shape, resolve_conductivity(self.conductivity))
         bottom = self.outline.bounds[0, 2] if isinstance(self.outline, Surface) else 0.0
         tops = bottom + np.cumsum([layer.thickness for layer in self.layers])
-        values = np.array([layer.conductivity for layer in self.layers], dtype=float)
-        inside: Array = values[np.searchsorted(tops[:-1], z, side="right")]
+        values = np.array([resolve_conductivity(layer.conductivity) for layer in self.layers])
+        inside: NDArray[np.inexact] = values[np.searchsorted(tops[:-1], z, side="right")]
         return inside
 
     def _check_thickness(self) -> None:
@@ -305,5 +335,5 @@ class SensorDesign:
         if self.conductivity != 1.0:
             raise ConfigurationError(
                 "give either one conductivity or layers with conductivities of their own, got "
-                f"conductivity {self.conductivity:g} S/m and {len(self.layers)} layers"
+                f"conductivity {self.conductivity} and {len(self.layers)} layers"
             )

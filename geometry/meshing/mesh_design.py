@@ -56,9 +56,10 @@ def triangulated_mesh(
         distance, _ = edges.query(points)
         return grading.size(distance)
 
-    require_inside(inclusions, outline)
+    require_inside(inclusions, outline, design.thickness)
     plane, triangles = triangulate(outline, ends, size, inclusions)
-    heights = layer_heights(design, grading)
+    faces = [z for each in inclusions for z in (each.low, each.high or 0.0)]
+    heights = layer_heights(design, grading, faces)
     count = len(heights)
     points = np.column_stack([np.repeat(plane, count, axis=0), np.tile(heights, len(plane))])
     lower = (triangles[:, None] * count + np.arange(count - 1)[:, None]).reshape(-1, 3)
@@ -127,14 +128,16 @@ def _edge_heights(electrode: Electrode, thickness: float) -> tuple[float, ...]:
     return (float({"top": thickness, "bottom": 0.0}.get(electrode.on, electrode.z or 0.0)),)
 
 
-def layer_heights(design: SensorDesign, grading: Grading) -> Lines:
-    """Heights of the layers of points, through sheets and graded to electrode edges [m].
+def layer_heights(design: SensorDesign, grading: Grading, faces: Sequence[float] = ()) -> Lines:
+    """Heights of the layers of points, through sheets, `faces` and graded to electrode edges [m].
 
     Where electrodes span the full thickness, every sheet has `grading.layers` equal cells.
     """
     thickness = design.thickness
     edges = {z for electrode in design.electrodes for z in _edge_heights(electrode, thickness)}
     interfaces = np.cumsum([layer.thickness for layer in design.layers])[:-1]
+    within = [z for z in faces if 0.0 < z < thickness]
+    interfaces = np.unique(np.concatenate([interfaces, within]).round(12))
     if edges:
         largest = max(min(grading.coarsest, thickness / grading.layers), grading.finest)
         return graded_lines(thickness, edges, interfaces, replace(grading, coarsest=largest))

@@ -4,8 +4,9 @@ import threading
 import typing
 from collections import OrderedDict, deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,8 @@ from eitskin.hardware.virtual.fault_table import read_faults
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.ad5940 import MEASUREMENT_TIME
 from eitskin.simulator.instrument.instrument import Instrument
+from eitskin.simulator.mechanics.touch_history import held_touches, recall_touches
+from eitskin.simulator.mechanics.viscoelasticity import REFERENCE
 from eitskin.simulator.scene.scene import Scene
 
 SceneSource = Callable[[int], Scene]
@@ -53,6 +56,9 @@ class Script:
     Attributes:
         steps: steps in the order in which they are played.
         repeat: begin again after the last step; else the last one stays.
+        relaxing: time from frame to frame [s], where touches creep while they last and later ones
+            on their place remember them; each frame is then solved when it is due. None for
+            touches that are always new.
 
     Example:
         >>> from eitskin import Bend, Scene
@@ -63,6 +69,7 @@ class Script:
 
     steps: tuple[Step, ...]
     repeat: bool = True
+    relaxing: float | None = None
 
     def __post_init__(self) -> None:
         """Require at least one step; raises ConfigurationError for none."""
@@ -85,7 +92,16 @@ class Script:
             if frame < step.frames:
                 break
             frame -= step.frames
-        return step.scene
+        if self.relaxing is None:
+            return step.scene
+        starts = accumulate((step.frames for step in self.steps * (number // total + 1)), initial=0)
+        played = [
+            (start * self.relaxing, each.scene.touches)
+            for start, each in zip(starts, self.steps * (number // total + 1), strict=False)
+            if start <= number and (self.repeat or start < total)
+        ]
+        past, now = held_touches(played), number * self.relaxing
+        return replace(step.scene, touches=recall_touches(past, now, REFERENCE))
 
 
 def _top_keys(path: Path) -> set[str]:
@@ -232,7 +248,8 @@ class Stage:
         frames are due, which may delay them.
         """
         # Solved here, so that the board's own thread never waits for a solution.
-        steps = scenes.steps if isinstance(scenes, Script) else ()
+        fixed = isinstance(scenes, Script) and scenes.relaxing is None
+        steps = scenes.steps if isinstance(scenes, Script) and fixed else ()
         solutions = {step.scene: self._solve_locked(step.scene) for step in steps}
         first = self.frames
 

@@ -265,7 +265,7 @@ def _press_footprint(touch: Touch, sensor: PressedSensor) -> DentedTouch:
         alike = touch.force * (disc.rims[1] / touch.indenter.rims[1]) ** 2
         share = table.dent_from_force(min(alike, table.largest_force)).share
     elastic, force = _relax(touch, touch.force if by_force else 1.0, share, sensor.mechanics)
-    press = replace(touch, held=None, released=0.0)
+    press = replace(touch, held=None, released=0.0, before=())
     if by_force and elastic > 0.0:
         press = replace(press, force=elastic)
     return DentedTouch(touch, force, press if elastic > 0.0 else None)
@@ -274,7 +274,7 @@ def _press_footprint(touch: Touch, sensor: PressedSensor) -> DentedTouch:
 def _relax(touch: Touch, force: float, share: float, mechanics: Mechanics) -> tuple[float, float]:
     """Elastic force of a touch and the force on its indenter [N], from that of the first moment.
 
-    The gel has a share of the force.
+    The gel has a share of the force. Elastic forces of loads in turn add up (Boltzmann).
     """
     if touch.held is None:
         return force, force
@@ -282,7 +282,8 @@ def _relax(touch: Touch, force: float, share: float, mechanics: Mechanics) -> tu
         (mechanics.gel_relaxation, mechanics.encapsulation_relaxation), (share, 1.0 - share)
     )
     if touch.depth is None:
-        elastic = relaxation.elastic_force(prony, touch.force, touch.held, touch.released)
+        loads = ((touch.force, touch.held, touch.released), *touch.before)
+        elastic = sum(relaxation.elastic_force(prony, *load) for load in loads)
         acting = touch.force
     else:
         elastic = relaxation.elastic_force_at_depth(prony, force, touch.held, touch.released)

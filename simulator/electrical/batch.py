@@ -56,7 +56,7 @@ class LayerFields(NamedTuple):
         area_ratio: deformed over flat area of the electrodes, (pieces, q).
     """
 
-    tensors: Array
+    tensors: Numbers
     area_ratio: Array
 
     @classmethod
@@ -105,11 +105,11 @@ class BatchSolver:
     def __init__(self, model: ForwardModel, layer: DeformedLayer) -> None:
         """Factorise the matrix of `model` for the deformed `layer`.
 
-        Raises ConfigurationError for models with complex contact impedances.
+        Raises ConfigurationError for designs with complex conductivities or contact impedances.
         """
-        if np.iscomplexobj(model.contact_impedance):
+        if model.design.is_complex:
             raise ConfigurationError(
-                f"expected real contact impedances, got {model.contact_impedance.dtype} ones; use "
+                "expected real conductivities and contact impedances, got complex ones; use "
                 "ForwardModel.impedance"
             )
         assembly, pattern = model.assembly, model.pattern

@@ -10,16 +10,19 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin.bounds import LEAST, MOST
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import TENSOR_COLUMNS, TENSOR_ROWS
+from eitskin.geometry.design.dispersion import Dispersion, resolve_conductivity
 
 _MAX_JUMP = 1.5  # of a conductivity within a cell
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
 Field = Callable[[Array], ArrayLike]
-Conductivity: TypeAlias = complex | Numbers | Field
+Conductivity: TypeAlias = complex | Dispersion | Numbers | Field
 
 
-def conductivity_entries(conductivity: Conductivity, points: Array, cells: int) -> Numbers:
+def conductivity_entries(
+    conductivity: Conductivity, points: Array, cells: int, frequency: float | None = None
+) -> Numbers:
     """Conductivity in the form of `Assembly.matrices`, (cells, q or 1, 1 or 6) [S/m].
 
     Scalars, or entries xx, yy, zz, xy, xz, yz of tensors. Raises ConfigurationError for another
@@ -29,7 +32,10 @@ def conductivity_entries(conductivity: Conductivity, points: Array, cells: int) 
         conductivity: conductivity as in `ForwardModel.impedance`.
         points: quadrature points of the cells, (cells, q, 3) [m].
         cells: number of cells.
+        frequency: frequency of a conductivity that depends on it [Hz]; 40 kHz when omitted.
     """
+    if isinstance(conductivity, Dispersion):
+        conductivity = resolve_conductivity(conductivity, frequency)
     if callable(conductivity):
         value, shape = _numbers(conductivity(points)), points.shape[:-1]
         asked = f"from f(x) of x with shape {points.shape} of shape {shape}"

@@ -50,7 +50,7 @@ class DeformedLayer:
         """Contact impedances [ohm m2], (electrodes,); complex where any electrode's is."""
         return self.design.contact_impedance
 
-    def entries(self, x: Array) -> Array:
+    def entries(self, x: Array) -> NDArray[np.inexact]:
         """Entries xx, yy, zz, xy, xz, yz of J F^-1 sigma F^-T [S/m], (..., 6).
 
         At flat points x (..., 3) [m].
@@ -59,14 +59,13 @@ class DeformedLayer:
         sigma = self.design.evaluate_conductivity(own)
         factors = self._gradients(x)
         if not factors:
-            unit: Array = sigma[..., None] * np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-            return unit
+            return np.asarray(sigma[..., None] * np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]))
         if self.deformation is not None and self.piezoresistivity != Piezoresistivity():
             stress = self.mean_stress(own) if self.mean_stress else 0.0
             sigma = sigma * self.piezoresistivity.factor(np.linalg.det(factors[0]), stress)
         kernels = compiled_kernels(KERNELS)
-        entries = np.empty((*sigma.shape, 6))
-        if kernels is not None:
+        entries = np.empty((*sigma.shape, 6), dtype=sigma.dtype)
+        if kernels is not None and np.isrealobj(sigma):
             first, *shift = (np.ascontiguousarray(F).reshape(-1, 9) for F in factors)
             after = shift[0] if shift else np.empty((0, 9))
             if not kernels.pull_back(first, after, sigma.ravel(), entries.reshape(-1, 6)):
@@ -85,9 +84,9 @@ class DeformedLayer:
             factors.insert(0, self.deformation.gradient(own))
         return factors
 
-    def conductivity(self, x: Array) -> Array:
+    def conductivity(self, x: Array) -> NDArray[np.inexact]:
         """Tensors J F^-1 sigma F^-T [S/m], (..., 3, 3), at flat points (..., 3) [m]."""
-        return self.entries(x)[..., WHOLE_TENSOR]
+        return np.asarray(self.entries(x)[..., WHOLE_TENSOR])
 
     def area_ratio(self, x: Array, normal: Array) -> Array:
         """Deformed over flat area of surfaces at flat points with unit normals (..., 3), (...)."""

@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from eitskin.bounds import require_axes, require_count
 from eitskin.errors import ConfigurationError
-from eitskin.files import shorten_text
 from eitskin.geometry.deformation.kinematics import WHOLE_TENSOR
-from eitskin.geometry.design.electrode import require_contact_impedance
+from eitskin.geometry.design.dispersion import Dispersion, resolve_conductivity
+from eitskin.geometry.design.electrode import read_contact_impedances
 from eitskin.geometry.design.inclusion import Inclusion
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.mesh import Mesh
@@ -123,6 +123,7 @@ class ForwardModel:
         self._begin(design, mesh, order, solver)
         middles = mesh.points[mesh.cells].mean(axis=1)
         self._inclusions += [(each.contains(middles), each.conductivity) for each in inclusions]
+        self._resolution, self._breaks = resolution, breaks
 
     @classmethod
     def from_mesh(
@@ -174,7 +175,7 @@ class ForwardModel:
         self.design: Any = design
         self.mesh: Mesh = mesh
         self.factorisations = 0
-        self._inclusions: list[tuple[NDArray[np.bool_], complex]] = []
+        self._inclusions: list[tuple[NDArray[np.bool_], complex | Dispersion]] = []
         self.assembly = Assembly(self.mesh, order)
         self.pattern = SystemPattern(self.assembly)
         positions = self.pattern.rows, self.pattern.columns
@@ -193,28 +194,54 @@ class ForwardModel:
         conductivity: Conductivity | None = None,
         area_ratio: AreaRatio | None = None,
         contact_impedance: ArrayLike | None = None,
+        frequency: ArrayLike | None = None,
     ) -> Numbers:
         """Electrode impedance matrix Z [ohm], (electrodes, electrodes).
 
         Z maps injected currents that sum to zero to electrode potentials of zero mean: rows and
         columns of Z sum to zero. Z is complex where the conductivity or a contact impedance is.
+        Changes by inclusions, unless the conductivity is given by cells, are added to Z of the
+        mesh without them, so that the difference of such two models has no error of meshes.
 
         Args:
             conductivity: outside inclusions [S/m], a scalar, (cells,), (cells, 3, 3), or f(x) with
                 x (..., 3) [m] giving (...) or (..., 3, 3); the design's own when omitted. Complex
-                for an admittivity sigma + j omega epsilon, whose real part is positive.
+                for an admittivity sigma + j omega epsilon, whose real part is positive; a
+                `ColeCole` or a `ConductivityTable` for one by the frequency.
             area_ratio: f(x, normal), both (..., 3), giving the ratio of deformed to flat area of
                 the electrodes, (...); one when omitted.
             contact_impedance: contact impedance of the electrodes, (electrodes,), or of all of them
                 [ohm m2]; the design's when omitted.
+            frequency: frequency of conductivities that depend on it [Hz]; 40 kHz when omitted. Z
+                has further axes first for those of several frequencies.
 
         Raises:
             ConfigurationError: for a conductivity or contact impedance of another shape, or whose
-                real part is not positive.
+                real part is not positive, and for a frequency beyond a table of conductivities.
         """
-        _, system = self._system(conductivity, area_ratio, contact_impedance)
+        arguments = conductivity, area_ratio, contact_impedance
+        if np.ndim(frequency) > 0:  # type: ignore[arg-type]
+            return np.array([self.impedance(*arguments, each) for each in np.asarray(frequency)])
+        at = None if frequency is None else float(np.asarray(frequency))
+        Z = self._impedance(arguments, at)
+        by_cells = not callable(conductivity) and np.ndim(conductivity) > 0  # type: ignore[arg-type]
+        if not self._inclusions or by_cells:
+            return Z
+        return Z + (self._plain.impedance(*arguments, at) - self._impedance(arguments, at, False))
+
+    def _impedance(
+        self, scene: tuple[Any, Any, Any], frequency: float | None, with_inclusions: bool = True
+    ) -> Numbers:
+        """Impedance matrix on this mesh [ohm], (electrodes, electrodes)."""
+        sigma = self._conductivity(scene[0], frequency, with_inclusions)
+        _, system = self._system(sigma, *scene[1:])
         T = self.solver.congruence(system.values, system.coupling)
         return impedance_matrix(system.admittance, T)
+
+    @cached_property
+    def _plain(self) -> "ForwardModel":
+        """Model of the design without inclusions."""
+        return ForwardModel(self.design, self._resolution, self._breaks)
 
     @cached_property
     def flat_impedance(self) -> Numbers:
@@ -371,8 +398,7 @@ class ForwardModel:
         stiffness, system, w, U = self._solve(conductivity, area_ratio)
         return self.assembly.space.in_elements(w + system.lift @ U, stiffness.inner), U
 
-    @cached_property
-    def _own_conductivity(self) -> Conductivity:
+    def _own_conductivity(self, frequency: float | None) -> Conductivity:
         """Conductivity of the design [S/m]: one number, or the conductivity of each cell's layer.
 
         Tetrahedra cross the layers: on their meshes the conductivity is a function of position.
@@ -380,11 +406,9 @@ class ForwardModel:
         if not self.design.layers:
             own: Conductivity = self.design.conductivity
             return own
-        if self.mesh.heights is None:
-            field: Field = self.design.evaluate_conductivity
-            return field
+        field: Field = self.design.resolve_frequency(frequency).evaluate_conductivity
         middles = self.mesh.points[self.mesh.cells].mean(axis=1)
-        return np.asarray(self.design.evaluate_conductivity(middles))
+        return field if self.mesh.heights is None else np.asarray(field(middles))
 
     @property
     def contact_impedance(self) -> Numbers:
@@ -411,16 +435,16 @@ class ForwardModel:
 
     def _system(
         self,
-        conductivity: Conductivity | None,
+        sigma: Numbers,
         area_ratio: AreaRatio | None,
         contact_impedance: ArrayLike | None = None,
     ) -> tuple[Stiffness, CemSystem]:
-        """Stiffness and linear system of one scene; counts as a factorisation."""
+        """Stiffness and linear system of entries of tensors; counts as a factorisation."""
         assembly = self.assembly
         ratio = self._area_ratio(area_ratio)
         z = self._contact_impedance(contact_impedance)
         contact = assembly.electrode_terms(z, ratio)
-        stiffness = assembly.condense(assembly.matrices(self._conductivity(conductivity)))
+        stiffness = assembly.condense(assembly.matrices(sigma))
         self.factorisations += 1
         return stiffness, self.pattern.system(stiffness.values, contact)
 
@@ -434,7 +458,8 @@ class ForwardModel:
 
         The currents leave through all electrodes in equal parts.
         """
-        stiffness, system = self._system(conductivity, area_ratio, contact_impedance)
+        sigma = self._conductivity(conductivity)
+        stiffness, system = self._system(sigma, area_ratio, contact_impedance)
         per_potential = self.solver.factorise(system.values).solve(system.coupling)
         T = system.coupling.T @ per_potential
         U = np.linalg.solve(system.admittance - 0.5 * (T + T.T), zero_sums(np.eye(len(T))))
@@ -444,24 +469,21 @@ class ForwardModel:
         """Contact impedances [ohm m2], (electrodes,); the design's where none are given."""
         if given is None:
             return self.contact_impedance
-        try:
-            z = np.broadcast_to(np.asarray(given, dtype=np.complex128), len(self.design.electrodes))
-        except (TypeError, ValueError) as error:
-            raise ConfigurationError(
-                "contact_impedance must be a number, or one for each of "
-                f"{len(self.design.electrodes)} electrodes, got {shorten_text(repr(given))}"
-            ) from error
-        for each in z:
-            require_contact_impedance(complex(each))
-        return z if z.imag.any() else z.real
+        return read_contact_impedances(given, len(self.design.electrodes))
 
-    def _conductivity(self, conductivity: Conductivity | None) -> Numbers:
+    def _conductivity(
+        self,
+        conductivity: Conductivity | None,
+        frequency: float | None = None,
+        with_inclusions: bool = True,
+    ) -> Numbers:
         """Conductivity, the design's own where None, as `conductivity_entries` gives it."""
-        own = self._own_conductivity if conductivity is None else conductivity
-        entries = conductivity_entries(own, self.assembly.points, len(self.mesh.cells))
+        own = self._own_conductivity(frequency) if conductivity is None else conductivity
+        entries = conductivity_entries(own, self.assembly.points, len(self.mesh.cells), frequency)
         if conductivity is not None:
             warn_of_edges(entries)
-        for inside, value in self._inclusions:
+        for inside, law in self._inclusions if with_inclusions else ():
+            value = resolve_conductivity(law, frequency)
             kind = np.result_type(entries, value)
             entries = np.array(np.broadcast_to(entries, (len(inside), *entries.shape[1:])), kind)
             entries[inside] = value * ISOTROPIC[: entries.shape[-1]]

@@ -144,7 +144,7 @@ class SensorImpedances:
             if nominal is None or self._shift is None
             else nominal_family(nominal, resolution)
         )
-        self._last: dict[tuple[ForwardModel, Tolerance], tuple[Scene, Numbers]] = {}
+        self._last: dict[tuple[ForwardModel, Tolerance, float | None], tuple[Scene, Numbers]] = {}
         self._bases: dict[ForwardModel, Base | None] = {}
 
     @cached_property
@@ -153,9 +153,12 @@ class SensorImpedances:
         return model_family(self._design, self._resolution, self._breaks)
 
     def solve_scenes(
-        self, scenes: Iterable[Scene], tolerance: Tolerance = EXACT
+        self,
+        scenes: Iterable[Scene],
+        tolerance: Tolerance = EXACT,
+        frequency: float | None = None,
     ) -> dict[Scene, Numbers]:
-        """Impedance [ohm] of each scene on the base mesh.
+        """Impedance [ohm] of each scene on the base mesh, at a frequency [Hz] if solved exactly.
 
         The change that touches of small indenters make on a finer mesh is added to the impedance
         without touches on the base mesh, so that errors of the two meshes do not enter it.
@@ -169,7 +172,7 @@ class SensorImpedances:
                 for each in (model, family.base):
                     wanted.setdefault(each, {})[without_touches(scene)] = None
         solved = {
-            model: self._solve_on_mesh(model, list(asked), tolerance)
+            model: self._solve_on_mesh(model, list(asked), tolerance, frequency)
             for model, asked in wanted.items()
         }
         found = {}
@@ -186,7 +189,7 @@ class SensorImpedances:
         """Derivatives of the impedance [ohm] by each contact impedance [1/m2], the contact last.
 
         Shapes (electrodes, electrodes, electrodes), on the meshes that suit the scenes' indenters,
-        by the adjoint method. Raises ConfigurationError for complex contact impedances.
+        by the adjoint method. Raises ConfigurationError for complex ones and conductivities.
         """
         suited: dict[ForwardModel, list[Scene]] = {}
         for scene in scenes:
@@ -217,12 +220,16 @@ class SensorImpedances:
         return sensitivities
 
     def _solve_on_mesh(
-        self, model: ForwardModel, scenes: Sequence[Scene], tolerance: Tolerance
+        self,
+        model: ForwardModel,
+        scenes: Sequence[Scene],
+        tolerance: Tolerance,
+        frequency: float | None,
     ) -> dict[Scene, Numbers]:
         """Impedances [ohm] of scenes on one of the meshes."""
         base = None if tolerance == EXACT else self._base(model)
         if base is None:
-            return {scene: self._alone(model, scene, tolerance) for scene in scenes}
+            return {scene: self._alone(model, scene, tolerance, frequency) for scene in scenes}
         impedances: dict[Scene, Numbers] = {}
         deformed: list[Scene] = []
 
@@ -243,18 +250,27 @@ class SensorImpedances:
             impedances[scene] = self._alone(model, scene, tolerance) if start is None else start
         return impedances
 
-    def _alone(self, model: ForwardModel, scene: Scene, tolerance: Tolerance) -> Numbers:
+    def _alone(
+        self,
+        model: ForwardModel,
+        scene: Scene,
+        tolerance: Tolerance,
+        frequency: float | None = None,
+    ) -> Numbers:
         """Impedance [ohm] of a scene solved on its own; the last untouched one is cached."""
-        last = self._last.get((model, tolerance))
+        last = self._last.get((model, tolerance, frequency))
         if last is not None and last[0] == scene:
             return last[1]
         (layer,) = self._layers_of([scene]) if tolerance == EXACT else self._layers([scene])
         if layer.is_flat:
-            return model.flat_impedance
+            same = frequency is None
+            return model.flat_impedance if same else model.impedance(frequency=frequency)
+        if frequency is not None:
+            layer = dataclasses.replace(layer, design=layer.design.resolve_frequency(frequency))
         z = None if layer.shift is None else layer.contact_impedance
         Z = model.impedance(layer.conductivity, layer.area_ratio, z)
         if not scene.touches:
-            self._last[model, tolerance] = scene, Z
+            self._last[model, tolerance, frequency] = scene, Z
         return Z
 
     def _layers(self, scenes: Sequence[Scene]) -> list[DeformedLayer]:
@@ -265,11 +281,12 @@ class SensorImpedances:
     def _base(self, model: ForwardModel) -> Base | None:
         """The flat sensor as solved on a shared mesh.
 
-        None for complex contact impedances, and where the nominal sensor differs too much.
+        None for complex conductivities or contact impedances, and where the nominal sensor differs
+        too much.
         """
         if model not in self._bases:
             coarse_model = None
-            if np.isrealobj(model.contact_impedance):
+            if not model.design.is_complex:
                 solver = self._shared.solver(model)
                 coarse_model = solver.base
                 if self._shift is not None:
@@ -284,8 +301,7 @@ class SensorImpedances:
 
 def _shift(nominal: SensorDesign, design: SensorDesign) -> ElectrodeShift | None:
     """Map from a nominal sensor whose meshes suit; None where they do not."""
-    contacts = nominal.contact_impedance, design.contact_impedance
-    if any(np.iscomplexobj(contact) for contact in contacts):
+    if nominal.is_complex or design.is_complex:
         return None
     return electrode_shift(nominal, design)
 

@@ -12,12 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.frame import Status
+from eitskin.geometry.design.dispersion import FREQUENCY
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-
-FREQUENCY = 40e3
-"""Frequency of the excitation [Hz]."""
 
 MEASUREMENT_TIME = 10.6e-3
 """Duration of one measurement: transforms of voltage and current, at an oversampling of 2 [s]."""

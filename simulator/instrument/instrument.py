@@ -14,8 +14,10 @@ from eitskin.bounds import sample_uniform
 from eitskin.config import Location, read_toml, write_toml
 from eitskin.errors import ConfigurationError
 from eitskin.extras import old_names
+from eitskin.geometry.design.dispersion import FREQUENCY
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument import ad5940
+from eitskin.simulator.instrument.gel import GelCourse
 from eitskin.simulator.instrument.meter import FourTerminalMeter, Quantity
 from eitskin.simulator.instrument.session import RandomWalk, Session
 
@@ -76,6 +78,9 @@ class Instrument:
         stray_capacitance: range of the capacitance of each drive pair, drawn per session [F];
             cables and multiplexers leave 40 to 100 pF (data sheet, estimate).
         measurement_time: time from one measurement of a frame to the next [s]; 10.6 ms computed.
+        gel_warming: range of the temperature that the gel gains in a session [K], which it takes
+            with a time constant of half an hour; 2 % of the conductivity a kelvin.
+        gel_drying: range of the share of its water that the gel loses in a day.
         meter: circuit and reading of a board that is no ideal four-terminal meter; None for an
             ideal one.
 
@@ -100,6 +105,8 @@ class Instrument:
     stray_capacitance: tuple[float, float] = (0.0, 0.0)
     measurement_time: float = 0.0
     meter: FourTerminalMeter | None = None
+    gel_warming: tuple[float, float] | None = None
+    gel_drying: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         """Check the terms; the ConfigurationError lists everything that is wrong."""
@@ -210,13 +217,21 @@ class Instrument:
         """Time of each measurement since its frame's start [s], (measurements,)."""
         return self.measurement_time * np.arange(len(protocol), dtype=np.float64)
 
-    def session(self, protocol: Protocol, full_scale: float, rng: np.random.Generator) -> Session:
+    def session(
+        self,
+        protocol: Protocol,
+        full_scale: float,
+        rng: np.random.Generator,
+        frequency: float = FREQUENCY,
+    ) -> Session:
         """Session of one board, from one calibration to the next.
 
         Args:
             protocol: drive and sense pairs.
             full_scale: largest transfer impedance of the flat, untouched sensor [ohm].
             rng: random generator of the session's constant errors, and of the drifts' seeds.
+            frequency: frequency of the excitation [Hz], on which the effect of stray capacitances
+                depends.
 
         Raises:
             ConfigurationError: for a meter of another protocol.
@@ -226,6 +241,7 @@ class Instrument:
         # One random stream per term, in a fixed order: no term changes the draws of another.
         gain, phase, paths, stray, electronics, gel = rng.spawn(6)
         low, high = self.stray_capacitance
+        relative = frequency / FREQUENCY
         pairs, sensed = _drive_measurements(protocol)
         error = 1.0 + _truncated_normal(gain, self.gain, GAIN_LIMIT)
         turn = np.deg2rad(_truncated_normal(phase, self.phase_deg, PHASE_LIMIT_DEG))
@@ -233,10 +249,10 @@ class Instrument:
         return Session(
             pairs=pairs,
             unsensed=None if sensed.all() or not self.needs_drive else int(sensed.argmin()),
-            capacitance=sample_uniform(stray, (low, high), len(protocol))[pairs],
+            capacitance=sample_uniform(stray, (low, high), len(protocol))[pairs] * relative,
             factor=error * np.exp(1j * turn) * (1.0 + mismatch),
             drift=RandomWalk(self.drift, int(electronics.integers(2**63))),
-            gel_drift=RandomWalk(self.gel_drift, int(gel.integers(2**63))),
+            gel=self._gel_course(gel),
             deviation=self.deviation(full_scale),
             front_end=ad5940.FrontEnd(
                 self.floor,
@@ -248,6 +264,15 @@ class Instrument:
             ),
             meter=self.meter,
         )
+
+    def _gel_course(self, rng: np.random.Generator) -> GelCourse | None:
+        """Change of the gel in a session; None without any."""
+        walk, still = RandomWalk(self.gel_drift, int(rng.integers(2**63))), (0.0, 0.0)
+        warming, drying = (
+            float(sample_uniform(rng, limits or still))
+            for limits in (self.gel_warming, self.gel_drying)
+        )
+        return GelCourse(walk, warming, drying) if self.gel_drift or warming or drying else None
 
     def _problems(self) -> Iterator[str]:
         low, high = SNR_RANGE_DB
@@ -262,6 +287,13 @@ class Instrument:
             if value not in choices:
                 choice_text = ", ".join(f"{choice:g}" for choice in choices)
                 yield f"{name} must be one of {choice_text}, got {value:g}"
+        for name, least, most, unit in (
+            ("gel_warming", -30.0, 30.0, "K"),
+            ("gel_drying", 0.0, 0.9, "of the water in a day"),
+        ):
+            low, high = getattr(self, name) or (0.0, 0.0)
+            if not least <= low <= high <= most:
+                yield f"{name} must rise from {least:g} to {most:g} {unit}, got {low:g} to {high:g}"
         low, high = self.stray_capacitance
         if not 0.0 <= low <= high <= MAX_STRAY:
             yield (

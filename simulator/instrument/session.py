@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from eitskin.errors import ConfigurationError, FrameError
 from eitskin.frame import Status
 from eitskin.simulator.instrument import ad5940
+from eitskin.simulator.instrument.gel import GelCourse
 from eitskin.simulator.instrument.meter import FourTerminalMeter
 
 Array = NDArray[np.float64]
@@ -64,10 +65,11 @@ class Session:
             where there is one, (measurements,).
         unsensed: number of a measurement whose drive pair decides over its reading and is sensed by
             none; None where there is no such one.
-        capacitance: stray, across the drive pairs, (measurements,) [F].
+        capacitance: stray, across the drive pairs, as large as it acts at 40 kHz, (measurements,)
+            [F].
         factor: gain, phase and path errors together, (measurements,) complex.
         drift: drift of the electronics, as the logarithm of a factor.
-        gel_drift: drift of the gel, as the logarithm of a factor.
+        gel: change of the gel, as the logarithm of a factor; None without any.
         deviation: standard deviation of the white noise per quadrature [ohm].
         front_end: signal chain from excitation to ADC.
         meter: scale, offset, limits and codes of the readings; None for an ideal meter.
@@ -87,7 +89,7 @@ class Session:
     capacitance: Array
     factor: Complex
     drift: RandomWalk
-    gel_drift: RandomWalk
+    gel: GelCourse | None
     deviation: float
     front_end: ad5940.FrontEnd
     meter: FourTerminalMeter | None = None
@@ -115,8 +117,8 @@ class Session:
         """
         both, times = self._checked_arrays(impedance, times)
         white, floor = rng.spawn(2)
-        if self.gel_drift.deviation:
-            both = both * np.exp(self.gel_drift(times))[:, None, None]
+        if self.gel is not None:
+            both = both * np.exp(self.gel(times))[:, None, None]
         if self.capacitance.any():
             both = ad5940.with_stray_capacitance(both, both[:, 1:], self.capacitance)
         Z, driven = both[:, 0] * self.factor, both[:, 1]

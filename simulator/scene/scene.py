@@ -39,6 +39,8 @@ class Touch:
         held: duration of the touch until now or until its release [s]. When omitted the touch is in
             its first moment, and nothing relaxes.
         released: time since the indenter was taken off [s]; only a fading dent is left.
+        before: earlier touches on this place that have not faded: force [N], duration and time
+            since the release [s] of each.
 
     Example:
         >>> from eitskin import Touch
@@ -53,6 +55,7 @@ class Touch:
     depth: float | None = None
     held: float | None = None
     released: float = 0.0
+    before: tuple[tuple[float, float, float], ...] = ()
 
     def __post_init__(self) -> None:
         """Check the numbers; the largest possible force depends on the sensor."""
@@ -68,6 +71,13 @@ class Touch:
         for name, seconds in (("held", self.held), ("released", self.released)):
             if seconds is not None and not (math.isfinite(seconds) and seconds >= 0.0):
                 raise ConfigurationError(f"{name} must be a time of 0 s or more, got {seconds}")
+        object.__setattr__(self, "before", tuple(map(tuple, self.before)))
+        wrong = [each for each in self.before if not (min(each) >= 0.0 and max(each) < math.inf)]
+        if wrong or (self.before and (self.held is None or self.depth is not None)):
+            raise ConfigurationError(
+                "before is for touches with a force and held, and has a force, a duration and a "
+                f"time since the release of each earlier touch, all 0 or more, got {self.before}"
+            )
         if self.released and self.held is None:
             raise ConfigurationError(
                 "a touch that was released needs held, the time in s for which it lasted"

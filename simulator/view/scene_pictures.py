@@ -41,8 +41,8 @@ def conductance_change(sim: Simulator, scene: Scene, points: Array) -> Array:
     conductivity = sim.conductivity(scene)
     if conductivity is None:
         return np.zeros(len(points))
-    change: Array = conductivity(points)[:, 0, 0] / sim.design.evaluate_conductivity(points) - 1.0
-    return change
+    ratio = conductivity(points)[:, 0, 0] / sim.design.evaluate_conductivity(points)
+    return np.real(ratio) - 1.0
 
 
 def deformed_current_density(

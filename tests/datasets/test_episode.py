@@ -9,7 +9,6 @@ from eitskin.datasets import Recipe, State
 from eitskin.datasets.generation.shard_simulation import simulate_shard
 from eitskin.datasets.recipe.episode import (
     EpisodeTouch,
-    HeldTouch,
     Keyframe,
     RandomEpisodes,
     ScriptedEpisode,
@@ -18,11 +17,18 @@ from eitskin.datasets.recipe.episode import (
 from eitskin.datasets.recipe.frame_sampling import sample
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.geometry import Bend, Electrode, Hinge, Rectangle, SensorDesign
-from eitskin.simulator import Instrument, Scene, Simulator
+from eitskin.simulator import Instrument, Scene, Simulator, Touch
+from eitskin.simulator.mechanics.touch_history import HeldTouch
 from eitskin.simulator.mechanics.viscoelasticity import REFERENCE, elastic_force
 
 OUTLINE = Rectangle(0.150, 0.060)
 HERE, THERE = EpisodeTouch(0.05, 0.02), EpisodeTouch(0.1, 0.04, 8.0)
+
+
+def plain(touch):
+    return Touch(touch.x, touch.y, touch.force)
+
+
 SCANNED = Instrument(snr_db=0.0, measurement_time=0.0106)
 RNG = np.random.default_rng(0)
 # Six channels, for scenes that are solved by the dozen.
@@ -60,7 +66,10 @@ def test_angles_are_straight_between_keyframes_and_presses_last_while_they_are_t
         Keyframe(6.0, -20.0),
     ).draw(OUTLINE, RNG)
     assert [told.scene(t).bend.angle_deg for t in (0.0, 1.0, 3.0, 4.5, 5.5)] == [0, 5, 10, -5, -20]
-    assert set(told.touches) == {HeldTouch(HERE, 2.0, 5.0), HeldTouch(THERE, 4.0, 5.0)}
+    assert set(told.touches) == {
+        HeldTouch(plain(HERE), 2.0, 5.0),
+        HeldTouch(plain(THERE), 4.0, 5.0),
+    }
 
 
 def test_a_repeated_script_goes_on_where_it_ended():
@@ -74,7 +83,7 @@ def test_a_repeated_script_goes_on_where_it_ended():
 
 
 def test_presses_creep_while_held_linger_afterwards_and_are_forgotten():
-    line = Timeline((0.0,), (0.0,), (HeldTouch(HERE, 1.0, 3.0),))
+    line = Timeline((0.0,), (0.0,), (HeldTouch(plain(HERE), 1.0, 3.0),))
     assert line.scene(0.9, REFERENCE) == Scene()
     (touch,) = line.scene(1.0, REFERENCE).touches
     assert (touch.x, touch.y, touch.force, touch.held, touch.released) == (

@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Literal
 
+import numpy as np
+
 from eitskin.datasets.recipe.specimen import (
     Specimen,
     free_length,
@@ -17,6 +19,7 @@ from eitskin.datasets.recipe.specimen import (
 )
 from eitskin.geometry import Clamp, ConfigurationError, FreeArc, Rectangle, SensorDesign
 from eitskin.geometry.deformation.electrode_shift import electrode_shift
+from eitskin.geometry.design.dispersion import resolve_conductivity
 from eitskin.simulator import SensorGrid
 from eitskin.simulator.instrument.fit_parameters import Parameter, meter_parameters
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
@@ -148,8 +151,9 @@ def instrument_parameters(
 
 
 def conductivity(design: SensorDesign) -> float:
-    """Conductivity of a design, that of its lowest layer where it has layers [S/m]."""
-    return design.layers[0].conductivity if design.layers else design.conductivity
+    """Conductivity of a design at 40 kHz, that of its lowest layer where it has layers [S/m]."""
+    own = design.layers[0].conductivity if design.layers else design.conductivity
+    return float(np.real(resolve_conductivity(own)))
 
 
 def _movable(design: SensorDesign) -> bool:
