@@ -109,6 +109,8 @@ class HeldTouch:
             bent = self._changes[-1] - 0.5 * (self._changes[-2] + change)
             finite_angles = bent[np.isfinite(bent)]
             self._latest = float(finite_angles @ finite_angles) / (1.5 * max(len(finite_angles), 1))
+            if not self.is_noise_known and self._latest < (JUMPS * self.noise) ** 2:
+                self._take_scatter()
         self._changes.append(change)
         if not held:
             self.set_frames([])
@@ -118,19 +120,23 @@ class HeldTouch:
         return np.where(np.isfinite(mean) | ~np.isfinite(V), mean, V), count
 
     def settle(self, touched: bool) -> None:
-        """Take the latest frame for touched or not; three alike, or any at first, show the noise.
+        """Take the latest frame for touched or not; the noise is that of three alike.
 
-        Touches that come and go, or jump, scatter as well. Equal frames show nothing.
+        Touches that come and go, or jump, scatter as well.
         """
         self._touched.append(touched)
-        first, alike = not self.is_noise_known, len(set(self._touched)) == 1
-        most = RISE * self._untouched if touched and not first else (JUMPS * self.noise) ** 2
-        if (first or alike) and 0.0 <= self._latest < most:
+        most = RISE * self._untouched if touched else (JUMPS * self.noise) ** 2
+        if self.is_noise_known and len(set(self._touched)) == 1 and self._latest < most:
+            self._take_scatter()
+        if not touched:
+            self._untouched = self.variance
+
+    def _take_scatter(self) -> None:
+        """Take the scatter of the latest frames for noise; equal ones show nothing."""
+        if self._latest >= 0.0:
             self._scatter.append(self._latest or 0.5 * self.noise**2)
             self._latest, expected = -1.0, [0.5 * self.noise**2] * MIN_SCATTERS
             self.variance = median([*self._scatter, *expected])
-            if not touched:
-                self._untouched = self.variance
 
     def set_frames(self, frames: list[Voltages]) -> None:
         """Take these for the latest frames of the touch; none before a touch."""
