@@ -142,6 +142,7 @@ def test_the_bent_layer_is_the_bend_away_from_touches(bent_sensor) -> None:
 
 
 @pytest.mark.usefixtures("unsolved")
+@pytest.mark.slow
 def test_gradients_of_the_bent_layer_are_those_of_its_positions(bent_sensor) -> None:
     sim, scene = bent_sensor
     layer, h = sim.deformation(scene), 1e-6

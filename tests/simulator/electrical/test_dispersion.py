@@ -139,6 +139,7 @@ def impedances_by_boxes(sigma: tuple[complex, complex], part: np.ndarray) -> np.
     return np.linalg.pinv(np.diag(areas) - B.T @ per_potential, rcond=1e-9)
 
 
+@pytest.mark.slow
 def test_a_box_within_the_layer_changes_what_other_elements_say() -> None:
     """1 % of the change by a box from 1 to 3 mm, complex, and at two contrasts."""
     part = np.array([[0.01, 0.005, 0.001], [0.02, 0.015, 0.003]])
