@@ -160,6 +160,19 @@ def test_a_faint_touch_is_told_by_its_frames_together(simulator):
     assert set(said[8:]) == {State.TOUCH}
 
 
+@pytest.mark.parametrize("apart", [0.024, 0.030])
+def test_two_uneven_touches_are_found_or_covered_by_what_is_claimed(session, apart):
+    for x, y in ((0.040, 0.025), (0.085, 0.035)):
+        pair = Touch(x, y, 8.0), Touch(x + apart, y, 4.9)
+        for _ in range(4):
+            said = session(Scene(touches=pair))
+        for touch in () if said.problems else pair:
+            claims = [(each, max(5e-3, 3.0 * each.deviation)) for each in said.touches]
+            assert any(np.hypot(e.x - touch.x, e.y - touch.y) < most for e, most in claims)
+        for _ in range(4):
+            session(Scene())
+
+
 @pytest.mark.parametrize("free", [0, 1])
 def test_taps_of_one_frame_each_are_found(session, free):
     """The changes by touches are not taken for noise of the board."""
