@@ -142,7 +142,8 @@ def test_integers_of_toml_have_64_bits():
 
 
 def test_paths_start_from_the_folder_of_their_file(tmp_path):
-    (tmp_path / "thing.toml").write_text("file = 'part.stl'\nshape = { radius = 1 }")
+    text = "\ufefffile = 'part.stl'\nshape = { radius = 1 }"  # with a byte order mark
+    (tmp_path / "thing.toml").write_text(text, encoding="utf-8")
     assert config.read_toml(Thing, tmp_path / "thing.toml").file == tmp_path / "part.stl"
     assert thing("file = 'part.stl'\nshape = { radius = 1 }").file == Path("folder/part.stl")
     assert thing("file = '/part.stl'\nshape = { radius = 1 }").file == Path("/part.stl")
