@@ -383,6 +383,11 @@ class RecordedFile:
         hint = f", such as {' or '.join(fitting)}" if fitting else ", or its table, --protocol FILE"
         if len(whole or ()) == shape[0]:
             hint += "; the table has as many rows: read it with --transpose"
+        elif whole and 2 * len(whole) == shape[1] * (shape[1] - 1):
+            hint = (
+                "; if these are rows of a matrix of resistances between pairs of electrodes, write "
+                "the values above its diagonal into one row for each frame"
+            )
         return (
             f"the protocol has {len(whole or ())} measurements, but the frames have "
             f"{shape[1]} channels; give the protocol they were measured with{hint}"

@@ -190,9 +190,10 @@ def test_positions_count_from_the_centre(tmp_path):
     data = on_the_reference(tmp_path, [-0.07, 0.07], [-0.02, 0.02], form)
     assert np.allclose(data.touch_x[:, 0], [0.005, 0.145])
     assert np.allclose(data.touch_y[:, 0], [0.010, 0.050])
-    np.savez(tmp_path / "a.npz", v=np.ones((2, 40)))
-    with pytest.raises(DataError, match=r"28 measurements.*40 channels.*such as adjacent:8"):
-        read_recording(tmp_path / "a.npz", RecordingNames("v"), Protocol.pairwise(8))
+    for shape, hint in (((2, 40), "40 channels.*such as adjacent:8"), ((8, 8), "above its diag")):
+        np.savez(tmp_path / "a.npz", v=np.ones(shape))
+        with pytest.raises(DataError, match=f"28 measurements.*{hint}"):
+            read_recording(tmp_path / "a.npz", RecordingNames("v"), Protocol.pairwise(8))
 
 
 @pytest.mark.parametrize(
