@@ -187,7 +187,7 @@ def test_taps_of_one_frame_each_are_found(session, free):
 @pytest.mark.slow
 @pytest.mark.parametrize(("faces", "noise"), [("both", 3e-4), ("bottom", 1e-4)])
 def test_a_held_touch_is_not_lost_while_the_sensor_bends(faces, noise):
-    """On a loud board bends hide the touch in every frame by itself; one clamp is not the usual."""
+    """A bend hides the touch in every frame by itself; one of the clamps is not the usual."""
     simulator = Simulator(DESIGN, "coarse", fixture=Clamp(faces=faces))
     session, rng = Session(simulator), np.random.default_rng(3)
     scenes = [Scene()] * 4 + [
