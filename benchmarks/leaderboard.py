@@ -24,24 +24,23 @@ _DIGITS = {"mm": 2, "deg": 2, "%": 1}
 SEED = 0
 _PAGE = f"""## {NAME}, version {VERSION}
 
-A benchmark set for methods of electrical-impedance skin: frozen recipes, fixed scores, one file of
-entries, [leaderboard.json](leaderboard.json). One command makes the frames, trains
-[your method](../how-to/own-method.md) and enters its scores:
+A benchmark set for methods of electrical-impedance skin. One command makes the frames, trains
+[your method](../how-to/own-method.md) and enters its scores into a file like
+[leaderboard.json](leaderboard.json):
 
     eitskin bench paper --seeds 1 --paper-seeds 0 --method my.py:Net --leaderboard leaderboard.json
 
-To use its frames in your own code, export them, for example those of the track `common`:
+To use the frames of a track in your own code:
 
     eitskin generate benchmarks/skinbench/recipes/common/frames.toml --out common
     eitskin export parquet common --out skinbench
 
-**Frozen.** Seed 0; all recipes are in `benchmarks/skinbench/recipes`. Frames follow from recipes
-and from the physics of a version of eitskin, so compare entries within one version. Quick runs and
-other seeds are refused.
+**Frozen.** Recipes are in `benchmarks/skinbench/recipes`, the seed is 0. Compare entries within
+one version of eitskin. Quick runs and other seeds are refused.
 
 **Scores.** A touch is detected within 15 mm of a true one, assigned one to one. Errors are means
-over detected touches, false positives are counted per true touch, angles are RMS errors. An empty
-cell is a quantity that a method does not estimate. The first score ranks.
+over detected touches, false positives are per true touch, angles are RMS errors. An empty cell is
+not estimated. The first score ranks.
 """
 _WORLDS = "|".join(map(re.escape, WORLDS))
 
@@ -132,8 +131,8 @@ TRACKS = (
     Track(
         "unseen",
         "paper",
-        "States, angle and one to four touches on unseen sensors. Your methods learn from one "
-        "sensor, as the paper did. By `eitskin bench paper --method my.py:Net --leaderboard FILE`.",
+        "States, angle and touches on unseen sensors, by `eitskin bench paper`. Your methods "
+        "learn from one sensor, as the paper did.",
         tuple(
             Score(text, unit, f"NAME, unseen: {key}")
             for text, (unit, key) in _UNSEEN_CONDITIONS.items()
@@ -143,7 +142,7 @@ TRACKS = (
         "common",
         "methods",
         "The same for methods that learn from the same frames of 32 sensors and are tested on 8 "
-        "others. By `eitskin bench methods --method my.py:Net --leaderboard FILE`.",
+        "others, by `eitskin bench methods`.",
         tuple(Score(text, unit, f"NAME / {key}") for text, (unit, key) in _COMMON.items()),
     ),
     Track(
@@ -151,7 +150,7 @@ TRACKS = (
         "transfer",
         "Sensors with other clamps, stiffness, electrodes and boards: the worst of five test "
         "conditions, as it is, and adapted by 5 angles and 15 touches. By `eitskin bench transfer "
-        "my.eitmodel --leaderboard FILE`.",
+        "my.eitmodel`.",
         (
             *_adaptation_scores("0 angles", "as it is"),
             *_adaptation_scores("5 angles, 15 presses", "adapted by 20"),
@@ -161,7 +160,7 @@ TRACKS = (
         "real",
         "recordings",
         "Positions on a real round skin, learned from k of its first 400 touches and tested on its "
-        "last 100. By `eitskin bench recordings DATA --leaderboard FILE`.",
+        "last 100. By `eitskin bench recordings DATA`.",
         tuple(Score(f"{k} presses", "mm", f"{k} / NAME") for k in (400, 200, 50, 20, 5)),
     ),
 )
@@ -225,8 +224,8 @@ class Leaderboard:
     def table(self, track: Track) -> str:
         """Markdown of the entries of a track."""
         heads = ("method", *(f"{score.text} [{score.unit}]" for score in track.scores))
-        lines = ["| " + " | ".join((*heads, "eitskin", "date")) + " |"]
-        lines.append("|---" * (len(heads) + 2) + "|")
+        lines = ["| " + " | ".join((*heads, "eitskin")) + " |"]
+        lines.append("|---" * (len(heads) + 1) + "|")
         for each in (entry for entry in self.entries if entry.track == track.name):
             cells = (
                 f"{each.scores[score.text]:.{_DIGITS[score.unit]}f}"
@@ -234,8 +233,8 @@ class Leaderboard:
                 else ""
                 for score in track.scores
             )
-            run_facts = (each.provenance.packages["eitskin"], each.provenance.date[:10])
-            lines.append("| " + " | ".join((each.name, *cells, *run_facts)) + " |")
+            version = each.provenance.packages["eitskin"]
+            lines.append("| " + " | ".join((each.name, *cells, version)) + " |")
         return "\n".join(lines) + "\n"
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from eitskin.benchmarks.leaderboard import (
+    SEED,
     TRACKS,
     leaderboard_page,
     read_leaderboard,
@@ -42,11 +43,11 @@ def result_section(
     `about` explains them; `shown` is a pattern of "ROW | COLUMN"; `names` has words for both.
     """
     provenance = results.provenance
+    machine = re.sub(r"\(R\)| Processor", "", provenance.machine)
     lines = [
         f"## {title}",
         "",
-        f"{about} `{results.command}`, seed {provenance.seed}, {provenance.machine}, "
-        f"eitskin {provenance.packages.get('eitskin', '')}, {provenance.date[:10]}.".strip(),
+        f"{about} `{results.command}`, {machine}, {provenance.date[:10]}.".strip(),
     ]
     for columns, rows in _tables(results.figures, re.compile(shown)):
         heads = " | ".join(names.get(column, column) for column in columns)
@@ -95,7 +96,12 @@ def pages(results: Mapping[str, Results], root: Path = ROOT) -> dict[Path, str]:
     contents = tomllib.loads((folder / "sections.toml").read_text(encoding="utf-8"))
     out = {}
     for name, sections in contents.items():
-        parts = [f"# {sections.pop('title')}\n\nBy `make pages`, from `benchmarks/published`.\n"]
+        sources = [results[each].provenance for each in sections if each != "title"]
+        versions = sorted({each.packages.get("eitskin", "") for each in sources})
+        parts = [
+            f"# {sections.pop('title')}\n\nBy `make pages`, from `benchmarks/published`: "
+            f"eitskin {' and '.join(versions)}, seed {SEED} if the command names none.\n"
+        ]
         parts += [result_section(results[each], **keys) for each, keys in sections.items()]
         out[folder / f"{name}.md"] = "\n".join([*parts, *([board] * (name == "pipeline"))])
     quoted = tomllib.loads((folder / "quoted.toml").read_text(encoding="utf-8"))

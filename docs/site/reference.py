@@ -38,20 +38,22 @@ FILES = {
     "Priors of a twin": ("PRIOR.toml, `fit twin --prior`", [TwinPrior]),
 }
 SIMPLE = {float: "number", int: "integer", str: "text", bool: "true or false", Path: "path"}
-SIMPLE |= {complex: "number or [real, imaginary]", Protocol: "name or path"}
+SIMPLE |= {complex: "complex", Protocol: "name or path"}
 UNLISTED = (Protocol, SensorGrid)
-COMMON = 3  # commands that take an option, for it to be described once
+COMMON = 2  # commands that take an option, for it to be described once
 
 
 def files_page() -> str:
     """Markdown of the keys of all files."""
     parts = [
         "# Files\n\nKeys of every TOML file, generated from the code. Units are SI. "
-        "All keys but those marked as required may be left out; unknown keys are refused with a "
-        "suggestion. Paths are relative to the file that names them. If a key takes one of several "
-        "tables, the keys in it decide which.\n"
+        "All keys but those marked as required may be left out; a value in brackets is the "
+        "default. Unknown keys are refused with a suggestion. A complex value is a number or "
+        "`[real, imaginary]`. Paths are relative to the file that names them. If a key takes one "
+        "of several tables, the keys in it decide which.\n"
     ]
     shown: set[object] = set()
+    described: dict[str, str] = {}
     for title, (where, kinds) in FILES.items():
         parts.append(f"## {title}\n\n{where}.\n")
         queue = list(kinds)
@@ -61,7 +63,7 @@ def files_page() -> str:
             shown.add(kind)
             rows = list(_keys(kind))
             queue += [inner for _, annotation, _, _ in rows for inner in _tables(annotation)]
-            parts.append(_keys_table(kind, rows))
+            parts.append(_keys_table(kind, rows, described))
     return "\n".join(parts)
 
 
@@ -71,12 +73,11 @@ def commands_page() -> str:
     commands = list(_commands("eitskin", group))
     counts = Counter(row for _, _, command in commands for row in _rows(command))
     frequent = [row for row, count in reversed(counts.most_common()) if count >= COMMON]
-    by_option = {row.split()[1].strip("`:"): row for row in frequent}
-    common = {row for option, row in by_option.items() if option.startswith("--")}
+    common = set({row.split()[1].strip("`:"): row for row in frequent}.values())
     parts = [
         "# Commands\n\nGenerated from the code; the help of each command (`-h`) shows the "
         "same. All commands take `--json`, `--quiet` and `--verbose`.\n\n## Common options\n\n"
-        "Where a command lists such an option itself, its own meaning holds.\n\n"
+        "If a command lists such an option, its own meaning holds.\n\n"
         f"{chr(10).join(sorted(common))}\n"
     ]
     panel = ""
@@ -88,7 +89,9 @@ def commands_page() -> str:
         shared = ", ".join(row.split("`")[1].split()[0] for row in rows if row in common)
         text = inspect.cleandoc(command.help or "")
         parts.append(f"### {path}\n\n{text}\n")
-        parts.append("```bash\n" + "\n".join(command_examples(path)) + "\n```\n")
+        examples = [line for line in command_examples(path) if _shows_more(line, path, shared)]
+        if examples:
+            parts.append("```bash\n" + "\n".join(examples) + "\n```\n")
         if own:
             parts.append("\n".join(own) + "\n")
         if shared:
@@ -110,6 +113,15 @@ def _commands(
             yield from _commands(f"{path} {name}", command, top)
         else:
             yield f"{path} {name}", top, command
+
+
+def _shows_more(example: str, path: str, shared: str) -> bool:
+    """Whether an example shows an argument or an option of the command's own."""
+    words = example.removeprefix(path).split()
+    return not all(word in shared for word in words if word.startswith("-")) or any(
+        not previous.startswith("-") and not word.startswith("-")
+        for previous, word in itertools.pairwise(["", *words])
+    )
 
 
 def _rows(command: typing.Any) -> Iterator[str]:
@@ -157,7 +169,10 @@ def _keys(kind: typing.Any) -> Iterator[tuple[str, typing.Any, str, str]]:
             yield name, hints[name], _default(parameter.default), described.get(name, "")
 
 
-def _keys_table(kind: typing.Any, rows: list[tuple[str, typing.Any, str, str]]) -> str:
+def _keys_table(
+    kind: typing.Any, rows: list[tuple[str, typing.Any, str, str]], shown: dict[str, str]
+) -> str:
+    """Section of a table's keys; `shown` has the table of each row that came before."""
     first, *rest = (inspect.getdoc(kind) or "").split("\n\n")
     lines = [f"### {kind.__name__}", "", " ".join(first.split()), ""]
     if not rows:
@@ -165,14 +180,29 @@ def _keys_table(kind: typing.Any, rows: list[tuple[str, typing.Any, str, str]]) 
     sections = ("Args", "Attributes", "Raises", "Example", "Returns")
     if rest and not rest[0].startswith((*sections, " ")):
         lines += [" ".join(rest[0].split()), ""]
-    described = [
-        (f"({_type(hint)}{default}): {text}".removesuffix(": "), name)
-        for name, hint, default, text in rows
-    ]
+    described = [(_key_facts(*row[1:]), row[0]) for row in rows]
+    earlier: dict[str, list[str]] = {}
     for item, alike in itertools.groupby(described, lambda row: row[0]):
         names = ", ".join(f"`{name}`" for _, name in alike)
-        lines.append(f"- {names} {item}")
+        first_table = shown.setdefault(line := f"- {names} {item}", kind.__name__)
+        if first_table == kind.__name__:
+            lines.append(line)
+        else:
+            earlier.setdefault(first_table, []).append(names)
+    for table, keys in earlier.items():
+        lines.append(f"- {', '.join(keys)}: as in [{table}](#{table.lower()})")
     return "\n".join([*lines, ""])
+
+
+def _key_facts(hint: typing.Any, default: str, text: str) -> str:
+    """Type, unless the default shows it, default, and description of a key."""
+    if not default.startswith("`"):
+        facts = f"({_type(hint)}{default})"
+    elif hint in SIMPLE and hint is not complex or typing.get_origin(hint) is tuple:
+        facts = f"({default})"
+    else:
+        facts = f"({_type(hint)}, default {default})"
+    return f"{facts}: {text}".removesuffix(": ")
 
 
 def _described(docstring: str) -> dict[str, str]:
@@ -191,9 +221,10 @@ def _type(annotation: typing.Any) -> str:  # noqa: PLR0911  one for each kind
     if annotation in SIMPLE:
         return SIMPLE[annotation]
     if origin is typing.Literal:
-        return " or ".join(f'`"{each}"`' for each in members)
+        return "`" + "|".join(f'"{each}"' for each in members) + "`"
     if origin in (typing.Union, types.UnionType):
-        return " or ".join(_type(each) for each in members if each is not types.NoneType)
+        *firsts, last = (_type(each) for each in members if each is not types.NoneType)
+        return f"{', '.join(firsts)} or {last}" if firsts else last
     if origin is tuple and members[-1] is Ellipsis:
         return f"list of {_type(members[0])}"
     if origin is tuple:
@@ -215,7 +246,7 @@ def _default(value: object) -> str:
         return ", required"
     if value is None or value in ((), "") or dataclasses.is_dataclass(value):
         return ""
-    return f", default `{_toml(value)}`"
+    return f"`{_toml(value)}`"
 
 
 def _toml(value: object) -> str:
