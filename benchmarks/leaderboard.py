@@ -233,8 +233,8 @@ class Leaderboard:
                 else ""
                 for score in track.scores
             )
-            version = each.provenance.packages["eitskin"]
-            lines.append("| " + " | ".join((each.name, *cells, version)) + " |")
+            row = (each.name, *cells, each.provenance.packages["eitskin"])
+            lines.append("| " + " | ".join(row) + " |")
         return "\n".join(lines) + "\n"
 
 

@@ -13,7 +13,6 @@ from pathlib import Path
 from types import MappingProxyType
 
 from eitskin.benchmarks.leaderboard import (
-    SEED,
     TRACKS,
     leaderboard_page,
     read_leaderboard,
@@ -44,11 +43,8 @@ def result_section(
     """
     provenance = results.provenance
     machine = re.sub(r"\(R\)| Processor", "", provenance.machine)
-    lines = [
-        f"## {title}",
-        "",
-        f"{about} `{results.command}`, {machine}, {provenance.date[:10]}.".strip(),
-    ]
+    source = f"`{results.command}`, {machine}, {provenance.date[:10]}."
+    lines = [f"## {title}", "", f"{about} {source}".strip()]
     for columns, rows in _tables(results.figures, re.compile(shown)):
         heads = " | ".join(names.get(column, column) for column in columns)
         lines += ["", f"| | {heads} |", "|---" * (len(columns) + 1) + "|"]
@@ -96,12 +92,10 @@ def pages(results: Mapping[str, Results], root: Path = ROOT) -> dict[Path, str]:
     contents = tomllib.loads((folder / "sections.toml").read_text(encoding="utf-8"))
     out = {}
     for name, sections in contents.items():
-        sources = [results[each].provenance for each in sections if each != "title"]
-        versions = sorted({each.packages.get("eitskin", "") for each in sources})
-        parts = [
-            f"# {sections.pop('title')}\n\nBy `make pages`, from `benchmarks/published`: "
-            f"eitskin {' and '.join(versions)}, seed {SEED} if the command names none.\n"
-        ]
+        title = sections.pop("title")
+        versions = ", ".join({results[each].provenance.packages["eitskin"]: 0 for each in sections})
+        source = "By `make pages`, from `benchmarks/published`; seed 0 if the command names none."
+        parts = [f"# {title}\n\n{source} eitskin {versions}.\n"]
         parts += [result_section(results[each], **keys) for each, keys in sections.items()]
         out[folder / f"{name}.md"] = "\n".join([*parts, *([board] * (name == "pipeline"))])
     quoted = tomllib.loads((folder / "quoted.toml").read_text(encoding="utf-8"))

@@ -34,7 +34,7 @@ Methods = Annotated[
         "--method",
         metavar="CODE",
         help="Your own method, whose code is run: FILE.py:CLASS, or the name of an installed "
-        "one; may be given several times.",
+        "one. Repeatable.",
     ),
 ]
 LeaderboardFile = Annotated[
@@ -244,8 +244,7 @@ def layouts(
     sweep: Annotated[
         list[str] | None,
         typer.Option(
-            help="count, placement, width, contact, bend or search; may be given several times, "
-            "all if omitted."
+            help="count, placement, width, contact, bend or search; repeatable, all if omitted."
         ),
     ] = None,
     workers: Workers = 2,
@@ -275,9 +274,7 @@ def layouts(
 def run_all(
     out: Out = _OUT,
     *,
-    only: Annotated[
-        list[str] | None, typer.Option(help="Name of a benchmark; may be given several times.")
-    ] = None,
+    only: Annotated[list[str] | None, typer.Option(help="Name of a benchmark. Repeatable.")] = None,
     quick: Quick = False,
     long: Annotated[
         bool,

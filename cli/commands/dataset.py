@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Show, verify, compact or combine datasets.", no_args_is_help=True)
 
-Folder = Annotated[Path, typer.Argument(help="The dataset's folder.")]
+Folder = Annotated[Path, typer.Argument(help="Folder of the dataset.")]
 Workers = Annotated[int, typer.Option(min=1, help="Processes that read the shards.")]
 EXIT_DAMAGED = DataError.exit_code
 
@@ -92,7 +92,7 @@ def check(
 def compaction(
     dataset: Folder,
     *,
-    out: Annotated[Path, typer.Option(help="Folder for the new dataset; new or empty.")],
+    out: Annotated[Path, typer.Option(help="Folder to write to; new or empty.")],
     frames_per_shard: Annotated[
         int, typer.Option(min=0, help="Frames in a file; 0 keeps the files as they are cut.")
     ] = 65536,
@@ -123,7 +123,7 @@ def compaction(
 def combination(
     datasets: Annotated[list[Path], typer.Argument(help="Folders of two or more datasets.")],
     *,
-    out: Annotated[Path, typer.Option(help="Folder for the new dataset; new or empty.")],
+    out: Annotated[Path, typer.Option(help="Folder to write to; new or empty.")],
     magnitudes: Annotated[
         bool, typer.Option(help="Combine magnitudes, where some recordings have no sign.")
     ] = False,

@@ -121,7 +121,7 @@ def export_onnx(_words: Annotated[list[str] | None, typer.Argument()] = None) ->
 def export_vtu(
     scene: options.SceneFile,
     *,
-    out: Annotated[Path, typer.Option("--out", help="Folder to write to, new or empty.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder to write to; new or empty.")],
     sensor: options.SensorOptions,
     drive: Annotated[
         str | None,

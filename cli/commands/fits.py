@@ -201,7 +201,7 @@ def fit_twin(
     design: Annotated[Path, typer.Argument(help="Design file of the sensor as designed.")],
     recording: recorded_frames.Recorded,
     *,
-    out: Annotated[Path, typer.Option(help="Folder for the twin's files; new or empty.")],
+    out: Annotated[Path, typer.Option(help="Folder to write to; new or empty.")],
     protocol: options.MeasuredPairs = None,
     values: recorded_frames.Values = None,
     fixture: options.FixtureFile = None,

@@ -43,7 +43,7 @@ def command(
     ],
     *,
     context: typer.Context,
-    out: Annotated[Path | None, typer.Option(help="Folder for the dataset; new or empty.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to write to; new or empty.")] = None,
     preview: Annotated[
         bool,
         typer.Option("--preview", help="Show what is understood of the files, and write nothing."),

@@ -160,8 +160,7 @@ class RandomEpisodes:
     """Random episodes; ranges are [lowest, highest] of uniform distributions.
 
     The sensor starts flat and untouched. The bend rests, moves to a random angle at a random speed,
-    and rests again; independently of the bend, pauses without touches alternate with one or more
-    simultaneous touches.
+    and rests again; independently of it, pauses alternate with one or more touches.
 
     Attributes:
         count: number of episodes.
@@ -173,7 +172,8 @@ class RandomEpisodes:
         hold_s: range of the time that touches are held [s].
         touches: range of the number of simultaneous touches, 1 to 4.
         force: range of the force of each touch [N].
-        margin, spacing: distances of the touches, as in `SceneGroup` [m].
+        margin: minimum distance of a touch's centre from the rim [m].
+        spacing: minimum distance between the centres of two touches [m].
         period: time from one frame to the next [s].
         relaxation: whether touches creep while held and recover slowly after release.
     """

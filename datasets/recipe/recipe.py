@@ -50,14 +50,13 @@ class Recipe:
         episodes: time series, after the scenes, one entry after the other.
         seed: seed of everything random.
         description: one sentence for readers.
-        resolution: resolution of the simulator, "coarse", "fast", "standard" or "fine".
+        resolution: resolution of the simulator.
         frames_per_shard: number of frames in a file, which one worker simulates. Episodes are not
             split: a shard has as many as fit, at least one.
         sensor: nominal design. In TOML also "reference" or the path of a design file.
         protocol: table of measurements; all pairs of electrodes when omitted. In TOML also a text
             for `Protocol.from_name`, as "adjacent" or "table.csv".
-        fixture: device that bends the sensor; the default clamp when omitted. In TOML also the
-            table `hinge` of version 0.1, which is the kinematic hinge.
+        fixture: device that bends the sensor; the default clamp when omitted.
         mechanics: materials of gel and encapsulation.
         grid: nominal values about which touches and bends are solved; the design's when omitted.
         instrument: errors and noise of the board; each specimen has one board and one session.

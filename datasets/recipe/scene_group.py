@@ -36,10 +36,10 @@ class SceneGroup:
     """Group of similar scenes; ranges are [lowest, highest] of uniform distributions.
 
     Attributes:
-        state: "idle", "bend" or "touch"; a touched sensor may be bent as well.
+        state: state of the sensor; a touched one may be bent as well.
         count: number of frames; follows from `positions` where those are given.
         angle_deg: range of the bend angle.
-        touches: range of the number of simultaneous touches, 1 to 4; one when omitted.
+        touches: range of the number of simultaneous touches, 1 to 4.
         force: range of the force of each touch [N].
         margin: minimum distance of a touch's centre from the rim [m].
         spacing: minimum distance between the centres of two touches [m].
@@ -48,10 +48,8 @@ class SceneGroup:
         repeats: number of frames for each of `positions`.
         per_bend: number of consecutive frames with one angle, whose untouched frame is solved once.
         support: support of the sensor in these scenes; the design's when omitted.
-        roll_deg: range of the roll across the width, about the other axis than the bend; none when
-            omitted.
-        indenter: shape that makes all touches: cylinder, ball, profile or footprint; the
-            default when omitted.
+        roll_deg: range of the roll across the width.
+        indenter: shape of all touches; the default cylinder when omitted.
     """
 
     state: Literal["idle", "bend", "touch"]

@@ -62,9 +62,8 @@ SPREAD_LOADS = (*LOADS, "common_mode")  # terms of a meter that differ between b
 class Specimens:
     """Number of specimens in a recipe, and standard deviations from the design.
 
-    All deviations are truncated at three standard deviations; 0 switches a deviation off. Standard
-    deviations without a unit are relative, those of lognormal factors with median one, so that no
-    property turns negative.
+    All deviations are truncated at three standard deviations; 0 switches a deviation off. Those
+    without a unit are relative: lognormal factors with median one.
 
     Attributes:
         count: number of specimens, which follow each other in the dataset.
@@ -74,9 +73,8 @@ class Specimens:
         encapsulation_modulus: shear modulus of the encapsulation.
         contact_impedance: contact impedance of each electrode, independently.
         electrode_place: position along the rim, of each side electrode independently [m].
-        hinge_span: free length of the fixture or length of its arc, and between the plates of a
-            support [m].
-        hinge_offset: position of the fixture's axis across the layer, where it has one [m].
+        hinge_span: free length of the fixture, and between the plates of a support [m].
+        hinge_offset: position of the fixture's axis across the layer [m].
         board_loads: load of each role on the instrument's meter, and its common mode,
             independently.
     """

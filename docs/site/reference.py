@@ -7,7 +7,7 @@ import re
 import types
 import typing
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import typer
@@ -89,8 +89,7 @@ def commands_page() -> str:
         shared = ", ".join(row.split("`")[1].split()[0] for row in rows if row in common)
         text = inspect.cleandoc(command.help or "")
         parts.append(f"### {path}\n\n{text}\n")
-        examples = [line for line in command_examples(path) if _shows_more(line, path, shared)]
-        if examples:
+        if examples := _page_examples(command_examples(path), path, shared):
             parts.append("```bash\n" + "\n".join(examples) + "\n```\n")
         if own:
             parts.append("\n".join(own) + "\n")
@@ -115,13 +114,20 @@ def _commands(
             yield f"{path} {name}", top, command
 
 
-def _shows_more(example: str, path: str, shared: str) -> bool:
-    """Whether an example shows an argument or an option of the command's own."""
-    words = example.removeprefix(path).split()
-    return not all(word in shared for word in words if word.startswith("-")) or any(
-        not previous.startswith("-") and not word.startswith("-")
-        for previous, word in itertools.pairwise(["", *words])
-    )
+def _page_examples(examples: Iterable[str], path: str, shared: str) -> list[str]:
+    """Examples that show more than common options, and more than the others."""
+    kept: dict[str, tuple[list[str], set[str]]] = {}
+    for example in examples:
+        pairs = list(itertools.pairwise(["", *example.removeprefix(path).split()]))
+        options = {word for _, word in pairs if word.startswith("-")}
+        values = [b for a, b in pairs if not a.startswith("-") and not b.startswith("-")]
+        if values or not options <= set(shared.split(", ")):
+            kept[example] = (values, options)
+    return [
+        example
+        for example, (values, options) in kept.items()
+        if not any(values == v and options < o for v, o in kept.values())
+    ]
 
 
 def _rows(command: typing.Any) -> Iterator[str]:
@@ -178,7 +184,7 @@ def _keys_table(
     if not rows:
         return "\n".join([*lines[:-1], f' Written as `"{kind.__name__.lower()}"`.', ""])
     sections = ("Args", "Attributes", "Raises", "Example", "Returns")
-    if rest and not rest[0].startswith((*sections, " ")):
+    if rest and rest[0].endswith(".") and not rest[0].startswith((*sections, " ")):
         lines += [" ".join(rest[0].split()), ""]
     described = [(_key_facts(*row[1:]), row[0]) for row in rows]
     earlier: dict[str, list[str]] = {}
@@ -198,7 +204,7 @@ def _key_facts(hint: typing.Any, default: str, text: str) -> str:
     """Type, unless the default shows it, default, and description of a key."""
     if not default.startswith("`"):
         facts = f"({_type(hint)}{default})"
-    elif hint in SIMPLE and hint is not complex or typing.get_origin(hint) is tuple:
+    elif (hint in SIMPLE and hint is not complex) or typing.get_origin(hint) is tuple:
         facts = f"({default})"
     else:
         facts = f"({_type(hint)}, default {default})"

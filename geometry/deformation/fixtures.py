@@ -49,7 +49,7 @@ class Clamp:
         span: free length between the plates, centred on the sensor [m].
         offset: depth of the axis below the mid-plane of the conductive layer [m].
         compliance: gap per traction of the bond between plate and face [m/Pa]; 0 for a rigid bond.
-        faces: faces held by the plates, "both" or only the "bottom".
+        faces: faces held by the plates.
 
     Example:
         >>> from eitskin.geometry import Clamp

@@ -28,7 +28,7 @@ class Electrode:
         x, y: centre [m]; on the outline for an electrode on the side.
         width: extent along the outline, on the side; along x elsewhere; horizontal, on a
             surface [m].
-        contact_impedance: z of the complete electrode model, may be complex [ohm m2].
+        contact_impedance: z of the complete electrode model [ohm m2].
         height: extent across the width [m]; the full thickness on the side, else the width, when
             omitted.
         z: height of the centre [m]; the middle on the side when omitted, needed inside and on a

@@ -167,9 +167,8 @@ class SensorDesign:
         thickness: thickness of the conductive body, along z [m].
         electrodes: list of electrodes, in the order of their numbers.
         conductivity: conductivity of the body [S/m], complex for an admittivity, or by the
-            frequency: a `ColeCole` or a `ConductivityTable`.
-        layers: sheets from the bottom upwards, instead of one conductivity; their thicknesses add
-            up to `thickness`.
+            frequency.
+        layers: sheets from the bottom upwards; their thicknesses add up to `thickness`.
         encapsulated_thickness: thickness of body and encapsulation together, body centred [m].
         support: base that the bottom face of the encapsulation rests on.
 

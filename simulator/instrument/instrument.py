@@ -70,19 +70,17 @@ class Instrument:
             as 0.4 %. Each path through the multiplexers has an error of `reciprocity` / sqrt 2.
         quantisation: whether the transforms of voltage and current are rounded to 18 bits.
         clipping: whether sines are clipped, the current at 3 mA, both at the range of the ADC.
-        excitation: amplitude [V], 0.607, 0.121, 0.075 or 0.015; 0 for the largest without clipping.
-        pga_range: full scale of the ADC [V], 0.9, 0.6, 0.3 or 0.133; 0 for the smallest that holds
+        excitation: amplitude, 0.607, 0.121, 0.075 or 0.015 V; 0 for the largest without clipping.
+        pga_range: full scale of the ADC, 0.9, 0.6, 0.3 or 0.133 V; 0 for the smallest that holds
             the sine.
-        rtia: feedback resistor of the transimpedance amplifier [ohm], one of the chip's; larger
-            for sensors of higher impedance.
+        rtia: feedback resistor of the transimpedance amplifier [ohm], one of the chip's.
         stray_capacitance: range of the capacitance of each drive pair, drawn per session [F];
-            cables and multiplexers leave 40 to 100 pF (data sheet, estimate).
+            40 to 100 pF by data sheet and estimate.
         measurement_time: time from one measurement of a frame to the next [s]; 10.6 ms computed.
         gel_warming: range of the temperature that the gel gains in a session [K], which it takes
             with a time constant of half an hour; 2 % of the conductivity a kelvin.
         gel_drying: range of the share of its water that the gel loses in a day.
-        meter: circuit and reading of a board that is no ideal four-terminal meter; None for an
-            ideal one.
+        meter: circuit and reading of a board that is no ideal four-terminal meter.
 
     Example:
         >>> from eitskin.simulator import Instrument

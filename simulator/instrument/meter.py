@@ -56,8 +56,7 @@ class FourTerminalMeter:
         channel_offset: further offset of each measurement; empty for 0.
         saturation: largest reading, of either sign and in each quadrature; 0 for no limit.
         step: distance between two codes, to which readings are rounded; 0 for none.
-        reads: "complex" for both quadratures, "signed" for the real part, "magnitude" for the
-            magnitude of both.
+        reads: both quadratures, the real part, or the magnitude of both.
 
     Example:
         >>> from eitskin.simulator import FourTerminalMeter, Instrument

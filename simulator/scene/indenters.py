@@ -204,7 +204,6 @@ class Footprint(Indenter):
         round: whether it is an ellipse.
         corners: corners of a polygon, (x, y) from where the force acts [m]; instead of the length
             and width.
-        rough: whether the punch sticks to the touched face.
 
     Example:
         >>> from eitskin.simulator import Footprint, Touch
@@ -380,7 +379,6 @@ class ScannedIndenter(Indenter):
     Attributes:
         file: path of the surface (STL, OBJ, PLY, OFF ...); made absolute.
         scale: metres per unit of the file, 1e-3 for millimetres.
-        rough: whether the indenter sticks to the touched face.
     """
 
     file: Path
