@@ -67,9 +67,8 @@ def command(
 ) -> None:
     """Train a pipeline on a dataset and test it on held-out specimens.
 
-    A quantity without labels in the dataset is not estimated. From positions of touches alone, and
-    where the sensor's geometry is not known, only positions are learned, from the first 80 % in
-    time.
+    A quantity without labels in the dataset is not estimated. From positions of touches alone, or
+    without the sensor's geometry, positions are learned, from the first 80 % in time.
     """
     from eitskin.training.evaluation.report import require_report_folder
     from eitskin.training.evaluation.selection import data_warnings

@@ -71,8 +71,7 @@ def command(
     """Adapt a pipeline to one sensor with labelled frames.
 
     All labels count: angles, positions, forces, or just untouched. The table shows errors over the
-    number of labelled frames, on blocks of time that were left out. The saved pipeline has learned
-    from all frames.
+    number of labelled frames, on blocks of time that were left out. The saved pipeline uses all.
     """
     from eitskin.training.pipeline.saved_form import require_writable
 
