@@ -123,7 +123,7 @@ def _read_options(scheme: str, query: str, readers: Readers) -> dict[str, Any]:
 
 _SCHEMES: dict[str, Readers] = {
     "serial": {"baud": int, "usb": str},
-    "text": {"baud": int, "skip": int, **dict.fromkeys(("protocol", "usb", "mark"), str)}
+    "text": {"baud": int, "skip": int, **dict.fromkeys(("protocol", "usb", "mark", "pairs"), str)}
     | dict.fromkeys(("pause", "frequency"), float),
     "virtual": dict.fromkeys(("speed", "resolution", "scene", "sensor", "protocol"), str)
     | dict.fromkeys(("fixture", "mechanics", "instrument", "faults", "link"), str)

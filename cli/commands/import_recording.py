@@ -108,7 +108,10 @@ def command(
     ] = None,
     differences: Annotated[
         bool,
-        typer.Option("--differences", help="Take values as differences from --touch-reference."),
+        typer.Option(
+            "--differences",
+            help="Take values as differences from --touch-reference, or from rows like the first.",
+        ),
     ] = False,
     order: Annotated[
         Literal["given", "rotated", "reversed", "sense-first"] | None,

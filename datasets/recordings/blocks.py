@@ -16,6 +16,10 @@ Complex = NDArray[np.complex64]
 Mask = NDArray[np.bool_]
 Labels = Mapping[str, NDArray[Any]]
 
+MIN_MATRIX: Final = 4  # electrodes of a matrix of values between pairs
+MAX_ASYMMETRY: Final = 0.1  # of such a matrix, and size of its diagonal, relative to its values
+MIN_LIKENESS: Final = 0.9  # squared cosine of two frames of a sensor; differences are unlike
+
 _TOUCH_LABELS: Final = ("touch_x", "touch_y", "touch_force", "touch_depth", "touch_radius")
 
 
@@ -73,6 +77,56 @@ def pair_rows(block: Block, order: str) -> Block:
         )
     before = block.values[during ^ 1]
     return replace(block.with_rows(lambda column: column[during]), before=before)
+
+
+def pair_matrices(table: NDArray[Any], n: int) -> NDArray[Any] | None:
+    """Matrices (frames, n, n) of values between pairs, from their rows or whole; None for others.
+
+    Their diagonals hold next to nothing, and both sides the same, or one of them nothing.
+    """
+    fits = n >= MIN_MATRIX and table.shape[1] in (n, n * n) and table.size % n**2 == 0
+    if not fits or table.dtype.kind not in "iufc":
+        return None
+    Z = np.where(np.isfinite(table), table, 0).reshape(-1, n, n)
+    turned, off = Z.swapaxes(1, 2), 1 - np.eye(n)
+    both = np.where(np.abs(Z) > np.abs(turned), Z, turned)
+    most = MAX_ASYMMETRY * np.where(off, np.abs(both), np.median(np.abs(both)))
+    symmetric = both.any() and ((Z == 0) | (np.abs(Z - off * both) <= most)).all()
+    return np.where(both == 0, np.nan, both) if symmetric else None
+
+
+def add_baselines(values: Complex, baseline: Complex) -> tuple[Complex, Complex]:
+    """Frames of rows of baselines and of differences from the last one, and the last baseline.
+
+    Baselines are rows that differ by less than half from the `baseline` before the first row.
+    """
+    last = _finite(baseline)
+    own = 4 * _power(_finite(values) - last) < _power(last)
+    baselines = np.concatenate([baseline[None], values[own]])[np.cumsum(own)]
+    return np.where(own[:, None], values, values + baselines), baselines[-1]
+
+
+def require_no_baselines(values: Complex) -> None:
+    """Raise DataError where the first row is a baseline, and most others differences from it."""
+    first, others = _finite(values[0]), _finite(values[1:])
+    power, powers = _power(first), _power(others)
+    alike = np.abs(others @ first.conj()) ** 2 > MIN_LIKENESS * power * powers
+    if 2 * np.sum((powers > 0) & (16 * powers < power) & ~alike) > len(powers):
+        raise DataError(
+            f"the first row is {np.sqrt(power / np.median(powers)):.3g} times as large as most of "
+            "the others, and unlike them: import with --differences where these are differences "
+            "from it and from later rows like it; remove it where it is no frame"
+        )
+
+
+def _finite(values: Complex) -> NDArray[np.complex128]:
+    """Values in double precision, with 0 for those that are not finite."""
+    return np.where(np.isfinite(values), values, 0).astype(np.complex128)
+
+
+def _power(values: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Sum of the squared magnitudes over the last axis."""
+    return np.asarray(np.sum(np.abs(values) ** 2, axis=-1))
 
 
 def without_bad_values(block: Block, choice: str, first: int) -> Block:

@@ -9,7 +9,15 @@ from typing import Final, Literal, get_args, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.recordings.blocks import Block, Complex, pair_rows, without_bad_values
+from eitskin.datasets.recordings.blocks import (
+    Block,
+    Complex,
+    add_baselines,
+    pair_matrices,
+    pair_rows,
+    require_no_baselines,
+    without_bad_values,
+)
 from eitskin.datasets.recordings.labels import (
     NAMES,
     Clock,
@@ -100,7 +108,8 @@ class RecordingForm:
         time_unit: time unit of t where it is a number; seconds that can be none are refused where
             empty.
         driven: readings with a driven electrode, which the protocol has as well, are left out.
-        differences: the values are differences from the touch reference, which is added.
+        differences: the values are differences from the touch reference, which is added; without
+            one, from the rows of baselines among them, of which the first row is one.
         order: order of the readings: "given" by the protocol, sense pairs from behind each drive
             pair on ("rotated"), "reversed", or sense pairs one by one at all drives
             ("sense-first"); tested by reciprocity and sums around loops where empty.
@@ -135,8 +144,10 @@ class RecordingForm:
                 )
         if not abs(self.scale) > 0 or abs(self.scale) == float("inf"):
             raise ConfigurationError(f"the scale must be a finite factor, got {self.scale:g}")
-        if self.rows != "frames" and self.transpose:
-            raise ConfigurationError("rows that alternate cannot be transposed; give one of both")
+        if self.rows != "frames" and (self.transpose or self.differences):
+            raise ConfigurationError(
+                "rows that alternate are neither transposed nor differences; give one of both"
+            )
 
 
 class RecordedFile:
@@ -166,6 +177,7 @@ class RecordedFile:
         self._names, self._form, self._design = names, form, design
         self._scale: NDArray[np.float64] | float = form.scale
         self._session, self._untested = session, True
+        self._baseline: Complex = np.zeros(0, np.complex64)
         self._origin = origin_position(design, form.origin)
         with self.named_errors():
             self._open()
@@ -210,7 +222,7 @@ class RecordedFile:
         values = [source.require(names.values or usual or "", "values")]
         titles = source.titles(values[0])
         factor = unit_factor(titles) if form.scale == 1.0 else form.scale
-        self._names_volts = form.scale == 1.0 and all(t.rstrip("])").endswith("V") for t in titles)
+        self._names_volts = form.scale == 1.0 and {t.rstrip("])")[-1:] for t in titles} == {"V"}
         self._form, self._scale = (form := replace(form, scale=factor)), factor
         named = self._protocol_of_file(titles)
         if self.protocol is not None and named is not None:
@@ -242,10 +254,6 @@ class RecordedFile:
             raise ConfigurationError(
                 "there are no readings before a press to keep; name them with --touch-reference, "
                 "or say --rows before-during"
-            )
-        if form.differences and not names.touch_reference:
-            raise ConfigurationError(
-                "differences need what they are differences from; name it with --touch-reference"
             )
         self._places = find_labels(source, names.columns, names.positions)
         labels = {place.table for place in self._places.values() if place.table}
@@ -308,18 +316,31 @@ class RecordedFile:
         return 2 * len(self._whole or (0,))
 
     def _frame_tables(self, tables: Tables) -> Tables:
-        """Tables with one row for each frame, where a row has one drive pair's readings, or one."""
-        rows, width = tables[self._wanted.values[0]].shape
-        drives = len({row[:2] for row in self._whole.table}) if self._whole else 1
-        per_frame = len(self._whole or ()) // width
-        if not (1 < per_frame and (width == 1 or per_frame == drives)) or rows % per_frame:
+        """Tables with one row for each frame, where a row has one drive pair's readings, or one.
+
+        So it is where rows are those of matrices of resistances between pairs of electrodes.
+        """
+        whole, names = self._whole, self._wanted.values
+        rows, width = tables[names[0]].shape
+        drives = len({row[:2] for row in whole.table}) if whole else 1
+        per_frame = len(whole or ()) // width
+        n = whole.n_electrodes if whole else width
+        matrices = [Z for name in names if (Z := pair_matrices(tables[name], n)) is not None]
+        if matrices and whole is None:
+            raise DataError(
+                f"the rows are those of {n} by {n} matrices: import with --protocol pairwise:{n} "
+                "where they are resistances between pairs of electrodes, or "
+                f"adjacent:{n}+driven and such where each row is of a drive pair"
+            )
+        if len(matrices) == len(names) and whole and all(row[:2] == row[2:] for row in whole.table):
+            a, b, *_ = np.array(whole.table).T
+            per_frame, framed = rows // len(matrices[0]), [Z[:, a, b] for Z in matrices]
+        elif 1 < per_frame and (width == 1 or per_frame == drives) and rows % per_frame == 0:
+            framed = [tables[name].reshape(-1, per_frame * width) for name in names]
+        else:
             return tables
-        return {
-            name: table.reshape(-1, per_frame * width)
-            if name in self._wanted.values
-            else table[::per_frame]
-            for name, table in tables.items()
-        }
+        others = {name: table[::per_frame] for name, table in tables.items()}
+        return others | dict(zip(names, framed, strict=False))
 
     def _block(self, tables: Tables, first: int, clock: Clock) -> Block:
         """Frames of one block of tables, whose first row is row `first` of the file."""
@@ -330,8 +351,12 @@ class RecordedFile:
                 f"'{self._wanted.values[1]}' must have the shape of the values, "
                 f"{values.shape}, got {before[0].shape}"
             )
-        if form.differences:
+        if form.differences and before:
             values = values + before[0]
+        elif form.differences:
+            values, self._baseline = add_baselines(values, self._baseline if first else values[0])
+        elif not first and form.rows == "frames":
+            require_no_baselines(values)
         block = Block(
             values,
             before[0] if before else None,
@@ -383,10 +408,11 @@ class RecordedFile:
         hint = f", such as {' or '.join(fitting)}" if fitting else ", or its table, --protocol FILE"
         if len(whole or ()) == shape[0]:
             hint += "; the table has as many rows: read it with --transpose"
-        elif whole and 2 * len(whole) == shape[1] * (shape[1] - 1):
-            hint = (
-                "; if these are rows of a matrix of resistances between pairs of electrodes, write "
-                "the values above its diagonal into one row for each frame"
+        elif whole and len(whole) * 2 in (shape[1] * (shape[1] - 1), shape[1] * (shape[1] + 1)):
+            hint = "; a matrix of resistances has all rows, 0 on the diagonal, and equal sides or 0"
+        elif whole and 2 * len(whole) == shape[1]:
+            hint += (
+                "; two columns each are read by names as mag0,phase0,mag1 ... or re0,im0,re1 ..."
             )
         return (
             f"the protocol has {len(whole or ())} measurements, but the frames have "
@@ -411,6 +437,7 @@ def fitting_protocols(n_electrodes: int, channels: int) -> list[str]:
     """Names of protocols with as many measurements; the usual numbers of electrodes for 0."""
     protocols = []
     for n in [n_electrodes] if n_electrodes else (4, 6, 8, 10, 12, 16, 20, 24, 32, 64):
+        protocols += [f"pairwise:{n}"] * (not n_electrodes and channels == n * n)  # as matrices
         for name in ("pairwise", "adjacent", "opposite", "skip:1", "skip:2", "skip:3"):
             for text in (f"{name}:{n}", f"{name}:{n}+driven"):
                 with suppress(ConfigurationError):

@@ -35,6 +35,8 @@ _LABEL: Final = re.compile(
 """Beginning of a line of numbers: "magnitudes : ", or the time that a terminal puts there."""
 _DECIMAL_COMMA: Final = re.compile(r"\d,\d")
 _UNITS: Final = re.compile(r"[\[(][^\d]{1,8}[\])]|[mu]?s|k?ohm|[mu]?[VA]|[cm]?m|N|deg", re.I)
+_HEXADECIMAL: Final = re.compile(r"0x[\da-f]+|(?=.*\d)[\da-f]{4,}", re.IGNORECASE)
+HEXADECIMAL: Final = "hexadecimal numbers, whose sign is unknown, are not read: write decimal ones"
 _COMMENTS: Final = ("#", "%")
 _EMPTY: Final = ("", "nan", "NaN", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None")
 
@@ -113,6 +115,8 @@ class TextReader(TableReader):
             ]
             header = names if len(names) == len(header) else numbered
         else:
+            if all(map(_HEXADECIMAL.fullmatch, header)) and any(c[0].isdigit() for c in header):
+                raise DataError(f"row {sample[begin][0]} has no names of columns; {HEXADECIMAL}")
             header = [f"v{cell}" if cell.isdecimal() else cell for cell in header]
             begin += 1
             begin += bool(rows[1:]) and all(map(_UNITS.fullmatch, filter(None, rows[1])))
@@ -408,11 +412,12 @@ def _numbers(
         try:
             numbers[place] = complex(re.sub(r"(?<=\d)[dD](?=[-+\d])", "e", text) or "nan")
         except ValueError:
-            if loses:
+            hexadecimal = _HEXADECIMAL.fullmatch(text)
+            if loses and not (hexadecimal and text.startswith("0x")):
                 continue
+            remedy = HEXADECIMAL if hexadecimal else "--bad-values mark or drop takes it for lost"
             raise DataError(
                 f"row {rows[place[0]]}, column {title}: expected a number such as 530.1 or "
-                f"530.1-2j, got '{shorten_text(str(cell))}'; --bad-values mark or drop takes it "
-                "for lost"
+                f"530.1-2j, got '{shorten_text(str(cell))}'; {remedy}"
             ) from None
     return numbers if numbers.imag.any() else numbers.real

@@ -18,7 +18,14 @@ from eitskin.files import quote_value, shorten_text
 from eitskin.frame import Frame, Status
 from eitskin.hardware.boards.board import PortBoard, longest_silence
 from eitskin.hardware.boards.port import CHUNK, SerialPort, connector
-from eitskin.hardware.boards.text_lines import MAX_LINE, FrameFinder, FrameLines, LineDecoder
+from eitskin.hardware.boards.text_lines import (
+    MAX_LINE,
+    PAIRS,
+    FrameFinder,
+    FrameLines,
+    LineDecoder,
+    parse_values,
+)
 from eitskin.hardware.protocol.messages import Info
 from eitskin.protocol import Protocol
 
@@ -28,6 +35,7 @@ MIN_SILENCE = 1.0
 """Shortest silence that counts as a stale stream, at any frame rate [s]."""
 FIRST_LINE_TIMEOUT = 10.0
 """Longest silence while the period is unknown [s]; two frames pass before the first is given."""
+_HEXADECIMAL = re.compile(rb"\b(?:0x[\da-f]|(?=[a-f]*\d)(?=\d*[a-f])[\da-f]{4})", re.IGNORECASE)
 
 
 class TextBoard(PortBoard[FrameLines]):
@@ -46,6 +54,7 @@ class TextBoard(PortBoard[FrameLines]):
         pause: float = math.nan,
         frequency: float = 40e3,
         skip: int = 0,
+        pairs: str = "",
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Open the port.
@@ -58,10 +67,12 @@ class TextBoard(PortBoard[FrameLines]):
             pause: shortest pause between frames [s]; three usual intervals of lines when NaN.
             frequency: excitation frequency where the lines do not give it [Hz].
             skip: numbers before the measurements of a line, such as a time.
+            pairs: kind of measurements that are two numbers each: "deg" or "rad" for a magnitude
+                and a phase, "imag" for a real and an imaginary part; one number when empty.
             clock: time that pauses and silence are measured by [s].
         """
         self.protocol, self._frequency = protocol, frequency
-        self._decoder = LineDecoder(mark, len(protocol), skip)
+        self._decoder = LineDecoder(mark, len(protocol), skip, pairs)
         self._finder = FrameFinder(len(protocol), bool(mark.strip()), pause)
         self._session = 0
         self._begun = math.nan
@@ -130,12 +141,17 @@ class TextBoard(PortBoard[FrameLines]):
             return self._frame(lines)
         drops = {reason.value: n for reason, n in sorted(self._decoder.drops.items())}
         received, unread = self._finder.received_instead(), self._decoder.unread
-        if unread.isascii() and (count := len(re.findall(rb"\d+(?:[.,]\d+)?", unread))):
+        numbers = parse_values(unread) or re.findall(rb"\d+(?:[.,]\d+)?", unread)
+        if unread.isascii() and (count := len(numbers)):
+            remedy = "correct protocol=, or leave numbers before them out by skip="
+            if count in (2, 2 * len(self.protocol)):
+                remedy += "; where two are one measurement, join them by pairs=deg, rad or imag"
+            if _HEXADECIMAL.search(unread):
+                remedy = "hexadecimal numbers are not read, let the board print decimal ones"
             received = (
                 f"the last line that was not read has {count} numbers where the protocol has "
                 f"{len(self.protocol)} measurements: '{shorten_text(unread.decode())}'; text: "
-                "reads one measurement a line, or all of a frame: correct protocol=, or leave "
-                "numbers before them out by skip="
+                f"reads one measurement a line, or all of a frame: {remedy}"
             )
         elif newest := self._decoder.newest[:MAX_LINE]:
             received += f"; the last line was {quote_value(newest.decode(errors='replace'))}"
@@ -177,6 +193,7 @@ def open_text(
     pause: float = math.nan,
     frequency: float = 40e3,
     skip: int = 0,
+    pairs: str = "",
 ) -> TextBoard:
     """Open a board that prints lines, at the serial port `path` or the USB device `usb`.
 
@@ -191,5 +208,7 @@ def open_text(
         )
     if pause <= 0.0 or frequency <= 0.0 or skip < 0:
         raise ConfigurationError(f"{uri}: pause, frequency and skip must be positive")
-    measured = Protocol.from_name(protocol)
-    return TextBoard(connector(path, uri, baud, usb), uri, measured, mark, pause, frequency, skip)
+    if pairs not in ("", *PAIRS):
+        raise ConfigurationError(f"{uri}: pairs must be one of {', '.join(PAIRS)}, got '{pairs}'")
+    measured, connect = Protocol.from_name(protocol), connector(path, uri, baud, usb)
+    return TextBoard(connect, uri, measured, mark, pause, frequency, skip, pairs)

@@ -12,7 +12,7 @@ import json
 import math
 import re
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
@@ -105,14 +105,15 @@ class LineDecoder:
         newest: newest line of all, and `unread` where it is no measurement.
     """
 
-    def __init__(self, mark: str = "", size: int = 0, skip: int = 0) -> None:
+    def __init__(self, mark: str = "", size: int = 0, skip: int = 0, pairs: str = "") -> None:
         """Take lines that begin with `mark` as beginnings of frames; no line when empty.
 
         Lines of `size` numbers are whole frames, and lines of one number, or of numbers that
         divide `size`, parts of one. No part counts after a line with more: it would be a rest.
-        The first `skip` numbers of a line, such as a time, are left out.
+        The first `skip` numbers of a line, such as a time, are left out. Each two of the others are
+        one measurement where `pairs` is one of `PAIRS`.
         """
-        self._skip = skip
+        self._skip, self._pairs = skip, pairs
         self._size, self._longest = size, max(MAX_LINE, BYTES_PER_VALUE * size)
         self._most = 1
         self.unread = self.newest = b""
@@ -185,8 +186,13 @@ class LineDecoder:
         """Frame, or part of one, in a line of numbers; None for another line, which is dropped."""
         values = [] if cut or not self._size else parse_values(text, self._size)
         values = values[self._skip :]
+        if self._pairs:
+            first, second = values[::2], values[1::2]
+            join, even = PAIRS[self._pairs], len(first) == len(second)
+            values = [join(*each) for each in zip(first, second, strict=True)] if even else []
         count = len(values)
-        if count < self._most or self._size % count or (count == 1 and b"," in text):
+        alone = count == 1 and b"," in text and not self._pairs
+        if count < self._most or self._size % count or alone:
             self.drops[LineDrop.UNKNOWN] += 1
             self.unread = text
             return None
@@ -264,11 +270,18 @@ def _number(text: bytes | None) -> float:
 
 def _from_polar(magnitude: float, phase_deg: float) -> complex:
     """Impedance of a magnitude [ohm] and a phase, which may be off by whole turns."""
-    if magnitude < 0.0:
+    if magnitude < 0.0 or not math.isfinite(phase_deg):
         return complex(math.nan, math.nan)
     phase = math.radians(math.remainder(phase_deg, 360.0))
     return complex(magnitude * math.cos(phase), magnitude * math.sin(phase))
 
+
+PAIRS: Mapping[str, Callable[[complex, complex], complex]] = {
+    "deg": lambda size, phase: _from_polar(size.real, phase.real),
+    "rad": lambda size, phase: _from_polar(size.real, math.degrees(phase.real)),
+    "imag": lambda real, imaginary: complex(real.real, imaginary.real),
+}
+"""Measurements of two numbers: magnitude and phase, or real and imaginary part."""
 
 PAUSE = 3.0
 """Shortest pause, in usual intervals between lines."""
@@ -361,9 +374,11 @@ class FrameFinder:
         """Description of the lines that came instead of a frame, with a remedy."""
         if self._counts:
             found = ", ".join(map(str, self._counts))
+            twice = ", or join the two numbers of each by pairs="
             return (
                 f"its last frames had {found} measurements where {self._size} were expected; check "
                 "the protocol, or separate frames by mark= or pause="
+                f"{twice if 2 * self._size in self._counts else ''}"
             )
         if self._count:
             what = "no line with the mark" if self._marked else "no pause"

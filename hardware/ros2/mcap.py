@@ -146,7 +146,7 @@ class McapWriter(Closeable):
     def _partial_error(self, error: OSError) -> PartialError:
         return PartialError(
             f"could not write {self.path}: {error.strerror or error}; what was written before lies "
-            f"in {self._folder}; make room"
+            f"in {self._folder}; make room or give write permission"
         )
 
 

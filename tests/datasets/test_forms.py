@@ -186,9 +186,12 @@ def by_drive(frames):
 COMPLEX = FRAMES * np.exp(0.3j)
 NAMED = [f"E{a + 1}_E{b + 1}_E{c + 1}_E{d + 1}" for a, b, c, d in ADJACENT.table]
 GERMAN = [line.replace(".", ",") for line in numbered(separator=";")]
-ROTATED = in_order(ADJACENT, "rotated").measure(Z)
 PAIRS = Protocol.pairwise(N)
 PAIRED = PAIRS.measure(Z)
+OWN = np.diagonal(Z, axis1=1, axis2=2)
+BETWEEN_ALL = OWN[:, None] + OWN[:, :, None] - 2 * Z  # resistances (3, N, N) between electrodes
+BASELINES = np.stack([FRAMES[0], FRAMES[0], 1.01 * FRAMES[0], 1.01 * FRAMES[0]])
+CHANGES = np.array([0, 1, 0, -2])[:, None] * 0.02 * FRAMES[1]
 BETWEEN = ";".join(["Zeit [s]", *(f"Z{a + 1}-{b + 1}" for a, b, *_ in PAIRS.table)])
 KOHM = ",".join(f"R_{a}_{b}_kohm" for a, b, *_ in PAIRS.table)
 LATIN = [BETWEEN, *(f"0,{k};{r}".replace(".", ",") for k, r in enumerate(rows(PAIRED, ";")))]
@@ -242,24 +245,22 @@ FORMS = [
          *(",".join(f"{z.real:.9g},{z.imag:.9g}" for z in f) for f in COMPLEX)]), P8, COMPLEX),
     Form("complex as MATLAB prints it", "a.csv", text([PLAIN[0],
          *(",".join(f"{z.real:.9g}{z.imag:+.9g}i" for z in f) for f in COMPLEX)]), P8, COMPLEX),
-    Form("rotated order", "a.csv", text(numbered(ROTATED)), P8 + " --order rotated"),
     Form("a drive pair's readings a row", "a.csv", text(by_drive(FRAMES)), P8),
     Form("a reading a row", "a.csv", text(long_rows(FRAMES)), P8 + " --values value"),
-    Form("times in ms", "a.csv", text(numbered(extra=("t", ("0", "40", "80")))),
-         P8 + " --time-unit ms"),
     Form("JSON, an object a line", "a.jsonl", text([json.dumps({"t": k, "v": f.tolist()})
          for k, f in enumerate(FRAMES)]), P8),
     Form("JSON, an array of objects", "a.json", lambda p: p.write_text(json.dumps(
          [{"v": f.tolist()} for f in FRAMES])), P8),
-    Form("JSON in UTF-16", "a.json", lambda p: p.write_text(json.dumps(
-         [{"v": f.tolist()} for f in FRAMES]), "utf-16"), P8),
     Form("NumPy, one array", "a.npy", lambda p: np.save(p, FRAMES), P8),
-    Form("NumPy, several", "a.npz", lambda p: np.savez(p, data=FRAMES), P8 + " --values data"),
-    Form("MATLAB, frames as columns", "a.mat", lambda p: savemat(p, {"V": FRAMES.T}),
-         P8 + " --values V --transpose"),
     Form("differences and baselines", "a.npz", lambda p: np.savez(p, d=FRAMES - FRAMES[0],
          b=np.tile(FRAMES[0], (3, 1))), P8 + " --values d --touch-reference b --differences"),
-    Form("volts at 2 mA", "a.csv", text(numbered(FRAMES * 0.002)), P8 + " --scale 500"),
+    Form("baselines among differences", "a.csv",
+         text(rows(np.where(CHANGES.any(axis=1, keepdims=True), CHANGES, BASELINES))),
+         P8 + " --differences", BASELINES + CHANGES),
+    Form("rows of matrices between electrodes", "a.csv", text(rows(BETWEEN_ALL.reshape(-1, N))),
+         "--protocol pairwise:8", PAIRED, PAIRS),
+    Form("upper halves of such matrices", "a.npy", lambda p: np.save(p, np.triu(BETWEEN_ALL)),
+         "--protocol pairwise:8", PAIRED, PAIRS),
     Form("names below units", "a.csv", text([",".join(["ohm"] * 40), *PLAIN]), P8),
     Form("bars, below 30 lines", "a.csv",
          text([*["a logger"] * 30, *(line.replace(",", "|") for line in PLAIN)]), P8),
@@ -293,7 +294,6 @@ FORMS = [
          P8 + " --values r.v"),
     Form("MATLAB, a cell a frame", "a.mat",
          lambda p: savemat(p, {"c": np.array([*FRAMES, None], object)[:3]}), P8 + " --values c"),
-    Form("Excel", "a.xlsx", lambda p: excel(p, PLAIN), P8),
     Form("Excel, positions on page 2", "a.xlsx", lambda p: excel(p, PLAIN, PLACES),
          P8 + " --sheet page0,page1"),
 ]  # fmt: skip

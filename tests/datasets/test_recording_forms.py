@@ -190,7 +190,10 @@ def test_positions_count_from_the_centre(tmp_path):
     data = on_the_reference(tmp_path, [-0.07, 0.07], [-0.02, 0.02], form)
     assert np.allclose(data.touch_x[:, 0], [0.005, 0.145])
     assert np.allclose(data.touch_y[:, 0], [0.010, 0.050])
-    for shape, hint in (((2, 40), "40 channels.*such as adjacent:8"), ((8, 8), "above its diag")):
+    for shape, hint in (
+        ((2, 40), "40 channels.*such as adjacent:8"),
+        ((8, 8), "0 on the diagonal"),
+    ):
         np.savez(tmp_path / "a.npz", v=np.ones(shape))
         with pytest.raises(DataError, match=f"28 measurements.*{hint}"):
             read_recording(tmp_path / "a.npz", RecordingNames("v"), Protocol.pairwise(8))
@@ -246,6 +249,10 @@ def test_lost_values_are_refused_marked_or_dropped(tmp_path):
     ("lines", "names", "error", "message"),
     [
         (["v0,v1,v3", "1,2,3"], {}, DataError, "after v1 comes v3"),
+        (["v0,v1", "0x1F,2"], {}, DataError, "v0: .* hexadecimal"),
+        (["0x1F,0x2A", "0x1F,0x2B"], {}, DataError, "hexadecimal"),
+        (["90,91,92,93", "1,-2,1,-1", "-1,2,2,1"], {}, DataError, "with --differences"),
+        (["0,1,2,4", "1,0,4,5", "2,4,0,6", "4,5,6,0"], {}, DataError, "--protocol pairwise:4"),
         (["1,2", "3,4"], {"values": "v"}, ConfigurationError, "holds c .*no header"),
         (["v0,v0", "3,4"], {}, DataError, "'v0' more than once"),
         (["Volt0,Volt1", "3,4"], {"values": "volt"}, ConfigurationError, "did you mean 'Volt'"),

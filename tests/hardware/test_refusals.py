@@ -69,6 +69,7 @@ CONFIGURATION = {
     "text without protocol": (lambda: open_text("/dev/no", "text:"), "protocol=pairwise:8"),
     "protocol": (lambda: open_text("/dev/no", "text:", "ring"), "a protocol: pairwise"),
     "pause": (lambda: open_text("/dev/no", "text:", "pairwise:8", pause=0.0), "positive"),
+    "pairs": (lambda: open_text("/dev/no", "text:", "pairwise:8", pairs="mag"), "deg, rad, imag"),
     "frequency": (lambda: open_text("/dev/no", "text:", "pairwise:8", frequency=-1), "positive"),
     "sensor twice": (
         lambda: virtual_terminal(simulator=FakeSimulator(), sensor=SensorDesign.reference()),

@@ -244,16 +244,6 @@ def test_frames_hold_what_was_printed_and_a_lost_line_costs_its_frame():
     assert frames[0].frequency == 40e3
 
 
-@pytest.mark.parametrize("printed_as", ["inf", "1e39"])  # the second is beyond single precision
-def test_an_infinite_value_is_marked_and_the_frame_kept(printed_as):
-    events = list(stream(range(5)))
-    when, _ = events[3 * 6 + 4]
-    events[3 * 6 + 4] = when, f"RzMag: {printed_as} Ohm , RzPhase: 0\n".encode()
-    _, frame = itertools.islice(board_on(Printer(events)).frames(), 2)
-    assert frame.status.tolist() == [0, 0, 0, 0, Status.NOT_FINITE, 0]
-    assert not np.isfinite(frame.impedance[4])
-
-
 @pytest.mark.parametrize("mark", ["", "go"])
 def test_a_slow_reader_gets_whole_frames_and_the_newest(mark):
     port = Printer(stream(range(40), mark))
@@ -288,12 +278,14 @@ def test_a_port_that_overflows_mixes_no_frames(monkeypatch, mark):
         (stream(range(99), skip={(n, 5) for n in range(99)}), "5, 5, 5 measurements .*6"),
         (((0.01 * k, b"RzMag: 1 Ohm , RzPhase: 0\n") for k in range(1200)), "mark=.*pause="),
         (((0.1 * k, b"\xf0\x81\n") for k in range(200)), "wrong baud rate"),
+        (((0.1 * k, b"1,9,1,9,1,9,1,9,1,9,1,9\n") for k in range(200)), "12 numbers .*pairs="),
+        (((0.1 * k, b"1A2B,0123,0,0,0,0\n") for k in range(200)), "let the board print decimal"),
         (
             ((0.1 * k, b"a: 1, 2, 3, 4\n") for k in range(200)),
             r"4 numbers .*6 .*'a: 1, 2, 3, 4'.*protocol=",
         ),
     ],
-    ids=["silent", "too few lines", "no pause", "wrong baud rate", "other numbers"],
+    ids=["silent", "too few lines", "no pause", "wrong baud rate", "pairs", "hex", "other numbers"],
 )
 def test_a_board_without_whole_frames_says_what_is_wrong(events, said):
     with pytest.raises(DeviceError, match=said):
@@ -316,12 +308,12 @@ def test_a_board_without_whole_frames_says_what_is_wrong(events, said):
     ],
 )
 def test_a_line_may_be_a_frame_but_the_end_of_one_is_none(form):
-    texts = ("5, 6, 7", form.format(612.5, -3, "1e3"), form.format(1, "nan", 3))
+    texts = ("5, 6, 7", form.format(612.5, -3, "1e3"), form.format("nan", "1e39", 3))
     port = Printer((0.1 * k, f"{text}\r\n".encode()) for k, text in enumerate(texts, 1))
     board = TextBoard(lambda: port, "text:x", Protocol.pairwise(3), clock=port.clock)
     frames = list(itertools.islice(board.frames(), 2))
     assert np.array_equal(frames[0].impedance, [612.5, -3, 1000])
-    assert frames[1].status.tolist() == [0, Status.NOT_FINITE, 0]
+    assert frames[1].status.tolist() == [Status.NOT_FINITE, Status.NOT_FINITE, 0]  # beyond float32
     assert [frame.number for frame in frames] == [0, 1]
 
 
@@ -329,7 +321,7 @@ def test_a_line_may_be_a_frame_but_the_end_of_one_is_none(form):
     ("text", "values"),
     [
         ('{"real": [1, 2.5], "imag": [3, -4]}', [1 + 3j, 2.5 - 4j]),
-        ('{"phase": [90, null], "mag": [2, 1]}', [2j, complex(math.nan, math.nan)]),
+        ('{"phase": [90, "inf"], "mag": [2, 1]}', [2j, complex(math.nan, math.nan)]),
         ('{"n": 7, "z1": 1.5, "z2": 2}', [1.5, 2]),
         ("1.5+2j, 3-4i", [1.5 + 2j, 3 - 4j]),
         ("1,5 2,5", [1.5, 2.5]),
@@ -362,6 +354,14 @@ def test_a_line_is_a_part_of_a_frame(form):
         first = frame.impedance[0].real
         assert first % 6 == 0
         assert np.array_equal(frame.impedance, first + np.arange(6))
+
+
+def test_two_numbers_are_a_measurement_where_that_is_said():
+    for pairs, second, value in (("deg", 90, 2j), ("rad", -math.pi / 2, -2j), ("imag", 9, 2 + 9j)):
+        for text in (f"2,{second},1,0\n", f"2,{second}\n1,0\n", f"2 {second}; 1 0\n"):
+            lines = LineDecoder(size=2, pairs=pairs).feed(text.encode())
+            read = [each.impedance for line in lines for each in line.measurements]
+            assert read == pytest.approx([value, 1], abs=1e-9)
 
 
 def test_the_rest_of_a_line_is_no_part():
