@@ -124,9 +124,8 @@ def make_dataset(
         )
     seconds = time.perf_counter() - start
     finished, new_shards = counts[-1], counts[-1] - counts[0]
-    if replaced := [path.name for path, at in found.items() if path.stat().st_mtime_ns != at]:
-        names = ", ".join(sorted(replaced)[:5]) + " and others" * (len(replaced) > 5)
-        output.note(f"damaged or not of this recipe, and therefore made again: {names}")
+    # Part of the result, which --quiet prints, too: files that were there are gone.
+    replaced = sorted(path.name for path, at in found.items() if path.stat().st_mtime_ns != at)
     size = sum(path.stat().st_size for path in out.glob("shard-*.h5"))
     data = {
         "out": str(out),
@@ -134,15 +133,19 @@ def make_dataset(
         "seed": recipe.seed,
         "frames": finished,
         "made": new_shards,
+        "replaced": replaced,
         "complete": manifest is not None,
         "seconds": round(seconds, 3),
         "frames_per_second": round(new_shards / seconds, 1),
         "megabytes": round(size / 1e6, 3),
     }
-    complete = "" if manifest else "; other shards are missing still"
+    remarks = "" if manifest else "; other shards are missing still"
+    if replaced:
+        names = ", ".join(replaced[:5]) + " and others" * (len(replaced) > 5)
+        remarks += f"; damaged or not of this recipe, and therefore made again: {names}"
     return data, (
         f"{finished} frames in {out}: {new_shards} made in {seconds:.1f} s "
-        f"({new_shards / seconds:.0f}/s), {decimal(size)}{complete}"
+        f"({new_shards / seconds:.0f}/s), {decimal(size)}{remarks}"
     )
 
 

@@ -107,6 +107,7 @@ def _read(image: bytes, first_index: int | None = None) -> Dataset:
         version = require_format(
             _attribute(file, "format", "") or None, _attribute(file, "format_version", 0)
         )
+        _attribute(file, "engine", 1)  # which `read_engine` reads in this process
         first, count = (int(_attribute(file, name)) for name in ("first_index", "count"))
         if not 0 <= count <= LIMITS["frame"]:
             raise DataError(f"expected at most {LIMITS['frame']} frames, got {count}")

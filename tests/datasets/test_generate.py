@@ -128,7 +128,8 @@ def test_damaged_and_lost_shards_are_made_again(whole, tmp_path, monkeypatch):
     sound = (folder / shard_name(2)).read_bytes()
     (folder / shard_name(2)).write_bytes(sound[:4096] + bytes(4096) + sound[8192:])
     (folder / shard_name(3)).unlink()
-    opened = []
+    opened, tried = [], []
+    monkeypatch.setattr(shard_reader, "read_in_subprocess", lambda *task: tried.append(task) or ())
     reader = shard_reader._read
     monkeypatch.setattr(shard_reader, "_read", lambda i, n: opened.append(i) or reader(i, n))
     seen, reports = [], []
@@ -142,6 +143,7 @@ def test_damaged_and_lost_shards_are_made_again(whole, tmp_path, monkeypatch):
     assert contents(folder) == contents(whole)
     assert seen == [(number + 1, RECIPE.shards) for number in range(RECIPE.shards)]
     assert len(reports) == 4
+    assert len(tried) == 1  # in a child first, whose seal is whole
     assert opened == [
         verify_checksum(contents(whole)[shard_name(0)])[0]
     ]  # HDF5 sees sound files alone

@@ -212,6 +212,7 @@ FILTERED = {"data": np.zeros(40), "chunks": (40,), "scaleoffset": 3}
         (added((1 << 26,), "f8", chunks=(1 << 26,)), "stores 0"),
         (added(data=np.zeros(4), **LOOSE), "larger than itself"),
         (lambda file: file.attrs.create("seed", np.zeros(4000)), "must be one number"),
+        (lambda file: file.attrs.create("engine", np.zeros(4000)), "must be one number"),
     ],
 )
 def test_files_that_the_format_does_not_allow_are_refused(shard, damage, message):
