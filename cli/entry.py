@@ -5,7 +5,9 @@ Ctrl-C while the program loads is answered here, and so is every exception that 
 
 import errno
 import os
+import signal
 import sys
+import threading
 
 EXIT_INPUT = 2  # as of `ConfigurationError`
 EXIT_UNEXPECTED = 70  # EX_SOFTWARE of sysexits.h
@@ -24,6 +26,7 @@ def run() -> None:
     An unexpected exception ends it with exit code 70, one sentence, and a report in a file.
     """
     _silence_numbers()
+    sys.unraisablehook = interrupt_again
     try:
         from eitskin.cli import main
 
@@ -43,6 +46,19 @@ def run() -> None:
             sys.exit(EXIT_INPUT)
         sys.stderr.write(describe_failure(error))
         sys.exit(EXIT_UNEXPECTED)
+
+
+def interrupt_again(ignored: "sys.UnraisableHookArgs") -> None:
+    """Raise a Ctrl-C again that Python ignores, since it struck the callback of a weak reference.
+
+    Other exceptions that are ignored are printed.
+    """
+    if not isinstance(ignored.exc_value, KeyboardInterrupt):
+        sys.__unraisablehook__(ignored)
+        return
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    again = threading.main_thread().ident, signal.SIGINT
+    threading.Timer(0.05, signal.pthread_kill, again).start()  # when the callback has ended
 
 
 def _silence_numbers() -> None:

@@ -4,6 +4,8 @@ import io
 import json
 import math
 import re
+import time
+from types import SimpleNamespace
 
 import pytest
 from command_line import run
@@ -48,6 +50,12 @@ def test_a_name_too_long_for_a_file_is_no_fault_of_the_program(monkeypatch, caps
         entry.run()
     assert ending.value.code == ConfigurationError.exit_code
     assert "File name too long" in capsys.readouterr().err
+
+
+def test_an_interrupt_that_a_callback_would_lose_is_raised_again():
+    entry.interrupt_again(SimpleNamespace(exc_value=KeyboardInterrupt()))
+    with pytest.raises(KeyboardInterrupt):
+        time.sleep(10)
 
 
 # What is printed: text of files and boards shows its control characters, and commands nothing
