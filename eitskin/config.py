@@ -85,7 +85,7 @@ def toml_table(text: str, where: str) -> dict[str, Any]:
     Brackets nested beyond Python's calls and integers of more than 64 bits are not TOML either.
     """
     try:
-        table = tomllib.loads(text.removeprefix("\ufeff"))  # a byte order mark, as Windows writes
+        table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise ConfigurationError(f"{where} is not valid TOML: {error}") from error
     for integer in _integers(table):

@@ -1,6 +1,8 @@
 """The command `eitskin live` on fake pipelines: what it prints, records and publishes."""
 
+import errno
 import json
+import os
 import time
 import types
 from functools import partial
@@ -12,7 +14,6 @@ from mcap_reader import read
 from rich.console import Console
 from rosbags.rosbag2 import Writer
 
-from eitskin import files as files_module
 from eitskin.cli.commands.live.session import LiveSession, Recording, touch_picture
 from eitskin.cli.options import Output
 from eitskin.datasets import ShardWriter, open_dataset
@@ -136,31 +137,30 @@ def test_a_new_session_is_announced_and_the_sensor_looked_over_again():
 
 @pytest.fixture
 def full_disk(monkeypatch):
-    """A disk that takes so many files from now on."""
+    """A disk, or folder, that takes so many files from now on."""
 
-    def fill(files):
+    def fill(files, code=errno.ENOSPC):
         left = [files]
-        real = files_module.atomic_file
 
-        def counted(path, *arguments):
-            left[0] -= 1
-            if left[0] < 0:
-                raise PartialError(f"cannot write {path}: no space left on the device; make room")
-            return real(path, *arguments)
+        def counted(path, flags, *mode, real=os.open):
+            left[0] -= bool(flags & os.O_EXCL)
+            if left[0] < 0 and flags & os.O_EXCL:
+                raise OSError(code, os.strerror(code))
+            return real(path, flags, *mode)
 
-        monkeypatch.setattr(files_module, "atomic_file", counted)
+        monkeypatch.setattr(os, "open", counted)
 
     return fill
 
 
 @pytest.mark.parametrize(
-    ("files", "readable"),
-    [(0, 0), (1, 0), (2, 4), (3, 4), (4, 8)],  # a shard, the manifest, and so on
+    ("files", "readable", "code"),  # a shard, the manifest, and so on
+    [(0, 0, 28), (1, 0, errno.EROFS), (2, 4, errno.EACCES), (3, 4, 28), (4, 8, errno.EDQUOT)],
 )
-def test_a_full_disk_ends_the_recording_and_not_the_session(tmp_path, full_disk, files, readable):
+def test_a_disk_that_fails_ends_only_the_recording(tmp_path, full_disk, files, readable, code):
     recording = Recording(ShardWriter(tmp_path / "r", frames_per_shard=4), tmp_path / "r")
     session = session_of(QuietBoard(), recordings=[recording])
-    full_disk(files)
+    full_disk(files, code)
     with session.output.notes.capture() as capture:
         for number in range(11):
             session.take(reading(number))
@@ -168,7 +168,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_session(tmp_path, full_disk,
     # The last shard is written when the session has ended, and the command says what it lacks.
     assert capture.get().count("recording stopped: cannot write") == (files < 4)
     assert (session.processed, recording.missing) == (11, 11 - readable)
-    assert "no space left" in recording.problem
+    assert os.strerror(code) in recording.problem
     assert "make room" not in recording.problem
     if readable:
         assert len(open_dataset(tmp_path / "r")) == readable

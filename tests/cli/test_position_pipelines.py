@@ -1,6 +1,7 @@
 """Pipelines of touch positions in every command that takes a saved pipeline."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -67,6 +68,10 @@ def test_evaluate_and_train_write_a_report(folder, tmp_path):
     run("train", data, "--out", tmp_path / "again.eitmodel", "--report", tmp_path / "report")
     again = json.loads((tmp_path / "report" / "report.json").read_text())
     assert again["report"] == report["report"]
+    few = presses(7)
+    save_dataset(replace(few, impedance=np.roll(few.impedance, 3, axis=0)), tmp_path / "few")
+    said = run("train", tmp_path / "few", "--out", tmp_path / "few.eitmodel").stderr
+    assert said.count("warning: ") == 2  # of few touches, and of an error like that of a guess
 
 
 @pytest.mark.slow

@@ -54,7 +54,7 @@ def test_a_ball_presses_with_its_weight_where_it_lies(simulator) -> None:
     assert touch.force == pytest.approx(0.5 * WEIGHT, rel=1e-3)
     assert (touch.x, touch.y) == (pytest.approx(0.095, abs=1e-5), pytest.approx(0.02, abs=1e-5))
     assert touch.indenter == Cylinder()
-    box, boxed = loaded(weight('type="box" size=".004 .003 .01"', -0.03, 0.005, 0.017, 0.4))
+    box, boxed = loaded(weight('type="box" size=".010 .009 .01"', -0.03, 0.005, 0.017, 0.4))
     assert boxed.ncon == 4  # its corners are one touch in its middle
     (touch,) = MujocoSkin(simulator, box, "skin").touches(boxed)
     assert touch.force == pytest.approx(0.4 * WEIGHT, rel=1e-3)

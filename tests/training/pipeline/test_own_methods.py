@@ -93,6 +93,8 @@ def test_a_saved_pipeline_keeps_name_options_and_arrays(pipeline, folder, datase
 def test_a_name_that_no_class_has_is_refused(kind):
     with pytest.raises(DataError, match="MODULE:CLASS"):
         methods.method_class(kind)
+    with pytest.raises(MethodCodeError, match=r"--method '\$\(id\)\.py:M' "):
+        methods.method_class("$(id):M")
 
 
 def test_code_that_is_not_named_or_is_another_is_refused(folder, monkeypatch):

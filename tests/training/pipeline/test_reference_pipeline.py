@@ -162,7 +162,7 @@ def test_a_faint_touch_is_told_by_its_frames_together(simulator):
 
 @pytest.mark.parametrize("apart", [0.024, 0.030])
 def test_two_uneven_touches_are_found_or_covered_by_what_is_claimed(session, apart):
-    for x, y in ((0.040, 0.025), (0.085, 0.035)):
+    for x, y in ((0.050, 0.030), (0.085, 0.035)):
         pair = Touch(x, y, 8.0), Touch(x + apart, y, 4.9)
         for _ in range(4):
             said = session(Scene(touches=pair))

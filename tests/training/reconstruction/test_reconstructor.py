@@ -105,6 +105,9 @@ def test_mirrored_places_are_told_and_channels_near_zero_compared_on_one_scale()
     maker = Reconstructor(DESIGN, facing, pixels=625, resolution=COARSE)
     assert (maker.difference, maker.ambiguous_share > 0.9) == ("absolute", True)
     assert (made().difference, made().ambiguous_share) == ("relative", 0.0)
+    before = np.asarray(maker.model.impedance)
+    after = before * (1.0 + 0.01 * np.sin(np.arange(len(before))))
+    assert maker.data(abs(after), abs(before)) == pytest.approx(maker.data(after, before))
 
 
 def test_dead_and_stuck_channels_are_silent():
