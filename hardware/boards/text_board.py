@@ -207,7 +207,9 @@ def open_text(
             "text:/dev/ttyACM0?protocol=pairwise:8"
         )
     if pause <= 0.0 or frequency <= 0.0 or skip < 0:
-        raise ConfigurationError(f"{uri}: pause, frequency and skip must be positive")
+        raise ConfigurationError(
+            f"{uri}: pause and frequency must be positive, and skip not negative"
+        )
     if pairs not in ("", *PAIRS):
         raise ConfigurationError(f"{uri}: pairs must be one of {', '.join(PAIRS)}, got '{pairs}'")
     measured, connect = Protocol.from_name(protocol), connector(path, uri, baud, usb)

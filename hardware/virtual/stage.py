@@ -1,12 +1,12 @@
 """Scenes, faults and simulated measurements of a virtual board, changed while it runs."""
 
+import math
 import threading
 import typing
 from collections import OrderedDict, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +28,9 @@ from eitskin.simulator.scene.scene import Scene
 
 SceneSource = Callable[[int], Scene]
 """Function from frame number to scene."""
+
+MEMORY = 1000.0
+"""Time after which a touch that was held for ever has less than a thousandth of its force [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +75,13 @@ class Script:
     relaxing: float | None = None
 
     def __post_init__(self) -> None:
-        """Require at least one step; raises ConfigurationError for none."""
+        """Require at least one step, and a positive time; raises ConfigurationError otherwise."""
         if not self.steps:
             raise ConfigurationError("a script needs at least one step, got none")
+        if self.relaxing is not None and not 0.0 < self.relaxing < math.inf:
+            raise ConfigurationError(
+                f"relaxing must be a positive time from frame to frame, in s, got {self.relaxing}"
+            )
 
     @classmethod
     def from_toml(cls, path: str | Path) -> "Script":
@@ -88,20 +95,21 @@ class Script:
         """Scene of frame `number`."""
         total = sum(step.frames for step in self.steps)
         frame = number % total if self.repeat else min(number, total - 1)
-        for step in self.steps:
-            if frame < step.frames:
+        for present in self.steps:
+            if frame < present.frames:
                 break
-            frame -= step.frames
+            frame -= present.frames
         if self.relaxing is None:
-            return step.scene
-        starts = accumulate((step.frames for step in self.steps * (number // total + 1)), initial=0)
-        played = [
-            (start * self.relaxing, each.scene.touches)
-            for start, each in zip(starts, self.steps * (number // total + 1), strict=False)
-            if start <= number and (self.repeat or start < total)
-        ]
+            return present.scene
+        last = number // total if self.repeat else 0
+        first = min(last, max(0, number - int(MEMORY / self.relaxing)) // total)
+        played, start = [], first * total
+        for step in self.steps * (last + 1 - first):
+            if start <= number:
+                played.append((start * self.relaxing, step.scene.touches))
+            start += step.frames
         past, now = held_touches(played), number * self.relaxing
-        return replace(step.scene, touches=recall_touches(past, now, REFERENCE))
+        return replace(present.scene, touches=recall_touches(past, now, REFERENCE))
 
 
 def _top_keys(path: Path) -> set[str]:

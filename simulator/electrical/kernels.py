@@ -136,7 +136,7 @@ def project(gram: Array, loads: Array, dependent: float, found: Array, product: 
     Args:
         gram: gram of the vectors, (s, s).
         loads: loads of the vectors, (s, k).
-        dependent: flags as of `factor`.
+        dependent: limit of energy as in `factor`.
         found: output, the coefficients of the vectors, (s, k).
         product: output, loads^T found, (k, k).
     """

@@ -38,7 +38,7 @@ def hold_out(dataset: Dataset, seed: int = 0) -> tuple[NDArray[np.int64], NDArra
     to test by.
 
     Args:
-        dataset: dataset at least two frames.
+        dataset: dataset of at least two frames.
         seed: seed of the draw.
     """
     specimens = np.random.default_rng(seed).permutation(np.unique(dataset.specimen))
@@ -144,9 +144,9 @@ class TrainingSettings:
     Attributes:
         method: "joint", which fits a learned model of the sensor to each frame, "paper", the
             stages of the paper, one of `BASELINES`, or MODULE:CLASS, one of the user's own.
-        joint: joint of the joint method.
-        classifier: classifier of the paper's classifier of states.
-        postprocessor: postprocessor of the paper's touch map network.
+        joint: settings of the joint method.
+        classifier: settings of the paper's classifier of states.
+        postprocessor: settings of the paper's touch map network.
         bend_free_map: whether the classifier also uses a map that is insensitive to bending.
         compressed_maps: whether the classifier uses asinh of maps instead of standardised maps.
         bend_squares: whether the regression of the angle may also select squares of dV.

@@ -84,6 +84,9 @@ def test_a_touch_that_follows_others_on_its_place_is_deeper() -> None:
     assert [touch.held for touch in first] == [0.0]
     assert faded[0].released == pytest.approx(0.3)
     assert [touch.x for touch in second] == [0.05, 0.10]
+    late, later = (script(33 + 42 * n).touches[0].before for n in (1000, 100_000))
+    assert len(later) > 1
+    assert np.allclose(late, later, rtol=1e-6)
     simulator = Simulator(SensorDesign.reference(), "coarse")
     again, alone = simulator.presses(Scene(touches=second))
     (earlier,), residual = second[0].before, elastic_force(REFERENCE, *second[0].before[0])
