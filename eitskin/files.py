@@ -47,11 +47,13 @@ def atomic_file(
 
     Where the block raises, or the machine fails, an older file at `path` is left as it was. The
     temporary file has the suffix of `path`, from which writers of pictures show the format, and the
-    permissions `mode`, less those that the umask withholds. Where the file cannot be written,
-    `failure` is raised with `remedy` at the end of its message.
+    permissions `mode`, less those that the umask withholds. Where the file cannot be written, or
+    `path` is a pipe or device, `failure` is raised with `remedy` at the end of its message.
     """
     path = _require_name(path, failure, remedy)
     try:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise OSError("it is a pipe or a device, which a file would replace")
         temporary = path.with_name(f"{TEMPORARY}{token_hex(8)}{path.suffix}")
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, mode))
         try:

@@ -88,6 +88,9 @@ def test_leftovers_are_removed_and_what_cannot_be_is_a_clear_error(tmp_path):
         files.atomic_file(tmp_path / "none" / "a.txt"),
     ):
         pass
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ConfigurationError, match="pipe"), files.atomic_file(tmp_path / "pipe"):
+        pass
     files.remove_file(tmp_path / "absent")
     (tmp_path / "folder").mkdir()
     with pytest.raises(PartialError, match=r"folder: .*--resume"):

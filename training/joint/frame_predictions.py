@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 
 FAINT_GAIN = 12.0  # decrease of the misfit by a touch, which chance exceeds in 1 % of idle frames
 FLAT_DEVIATIONS, WIDE_DEG = 2.0, 4.0  # a bend below these, of a standard error above, may be none
+OUTSIDE_DEG = 3.0  # beyond the angles learned, from which a bend curve shows a larger bend
 DECIDED = 2.0  # least difference of evidence from its threshold, where a fit decides on touches
 
 PRIOR_TOUCHES = 4  # touches with errors as stated, that count next to the known ones
@@ -35,11 +36,16 @@ BLUR = 9.0  # standard errors beyond which 1 - Phi is one to the last digit
 
 
 def fit_problems(
-    found: FrameFit, bend: AngleEstimate, touches: bool, chances: Array
+    found: FrameFit,
+    bend: AngleEstimate,
+    bends: tuple[float, float] | None,
+    touches: bool,
+    chances: Array,
 ) -> tuple[str, ...]:
     """Warnings about one frame, by the probabilities of its states too.
 
-    Whether `touches` were learned: else the poor fit of the angle says all there is to say.
+    Whether `touches` were learned: else the poor fit of the angle says all there is to say. Further
+    arguments are those of `state_probabilities`.
     """
     problems = [
         f"{fault.name} and was left out: look at its contact and wire" for fault in found.faults
@@ -63,6 +69,11 @@ def fit_problems(
     uncertain = bend.deviation_deg > max(WIDE_DEG, abs(bend.angle_deg) / FLAT_DEVIATIONS)
     if uncertain and np.nanargmax(chances) == State.BEND:
         problems.append("the sensor may be flat, as far as this frame shows: do not rely on a bend")
+    if bends is not None and _is_outside(bend, bends):
+        problems.append(
+            f"the sensor may be bent beyond {bends[0]:.0f} to {bends[1]:.0f} deg, the angles "
+            "learned: do not rely on its angle"
+        )
     if not touches:
         return tuple(problems)
     count = len(found.touches)
@@ -86,6 +97,13 @@ def fit_problems(
             f"about ({x:.0f}, {y:.0f}) mm: do not rely on their number and places"
         )
     return tuple(problems)
+
+
+def _is_outside(bend: AngleEstimate, bends: tuple[float, float]) -> bool:
+    """Whether a bend may be outside of the range of angles learned [deg], by curve and in all."""
+    end, side = (bends[1], 1.0) if bend.angle_deg > 0.0 else (bends[0], -1.0)
+    over, curve_over = side * (bend.angle_deg - end), side * (bend.from_flat[0] - end)
+    return curve_over > OUTSIDE_DEG and over > -FLAT_DEVIATIONS * bend.deviation_deg
 
 
 def calibration_problems(

@@ -333,7 +333,7 @@ class JointMethod(Method):
             np.array([bend.deviation_deg]),
             map_,
             (FoundTouches.from_arrays(places, strength, force, spread),),
-            (specimen.problems + fit_problems(found, bend, self.touches, chances),),
+            (specimen.problems + fit_problems(found, bend, bends, self.touches, chances),),
         )
 
     def _project_change(self, change: Array, frames: float, age: float) -> CombinedChange:

@@ -148,10 +148,11 @@ class Session:
     def average(self, voltages: Voltages) -> None:
         """Add a frame (measurements,) [ohm] of the untouched sensor to the references."""
         self._earlier.append(Earlier(voltages, replace(self.static), replace(self.dynamic)))
-        if self.dynamic.add(voltages):
-            self._opening = False
+        moved = self.dynamic.add(voltages)
+        self._opening = self._opening and not moved and self.static.count < MAX_MEAN_FRAMES
+        if moved:
             self._earlier.clear()
-        if self._opening:
+        if self._opening:  # a longer mean would follow a slow bend
             self.static.add(voltages)
 
     def without_gain_step(self, voltages: Voltages) -> tuple[Voltages, tuple[str, ...]]:

@@ -65,6 +65,13 @@ def test_it_says_where_a_bent_sensor_is_touched(session):
     assert_touched(moving, (0.030, 0.030))
 
 
+@pytest.mark.parametrize(("angle_deg", "outside"), [(48.0, False), (70.0, True), (-32.0, True)])
+def test_a_bend_beyond_those_learned_is_reported(session, angle_deg, outside):
+    for share in (0.3, 0.6, 1.0, 1.0):
+        said = session(Scene(Bend(share * angle_deg)))
+    assert any("-20 to 50 deg" in problem for problem in said.problems) == outside
+
+
 @pytest.mark.slow
 def test_four_touches_that_look_like_a_large_bend_leave_the_angle_what_it_was(session):
     """The frames' likeliest bends without touches lie at the end of the range."""
