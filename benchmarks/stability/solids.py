@@ -31,13 +31,13 @@ from eitskin.simulator import Cylinder, Mechanics, Sphere
 from eitskin.simulator.bends import bend_table
 from eitskin.simulator.deformation.contact import ContactFrame, DentField
 from eitskin.simulator.deformation.finite_stack import FiniteStack
-from eitskin.simulator.deformation.fitted_plan import Contact
-from eitskin.simulator.deformation.stack_mesh import Fineness, stack_mesh
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
+from eitskin.simulator.mechanics.fitted_plan import Contact
 from eitskin.simulator.mechanics.layer_stack import Indentation, Sheet, Stack
 from eitskin.simulator.mechanics.load_stepping import Load, SolidError, newton
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.mechanics.mixed_solid import STIFFEST, Solid
+from eitskin.simulator.mechanics.stack_mesh import Fineness, stack_mesh
 from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]

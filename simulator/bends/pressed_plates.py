@@ -53,8 +53,8 @@ from eitskin.simulator.deformation.press_table import indenter_samples
 from eitskin.simulator.deformation.sensor_grid import SensorGrid
 from eitskin.simulator.deformation.solution_store import Arrays, Problem, Report
 from eitskin.simulator.deformation.solution_table import Axis
-from eitskin.simulator.deformation.stack_mesh import Fineness
 from eitskin.simulator.mechanics.layer_stack import Mechanics
+from eitskin.simulator.mechanics.stack_mesh import Fineness
 from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]
@@ -82,7 +82,7 @@ _FINENESS = Fineness(ends=0.0, sides=0.25, layers=1, rims=0.3, growth=1.5)
 # Nodes of fields over the thickness: in the gap and up to a distance next to it, and beyond.
 _FINE, _NEAR, _COARSE, _ACROSS, _DEGREE = 0.35, 1.8, 0.65, 13, 2
 _TOLERANCE = 1e-3  # singular values, relative to the largest, that the table keeps
-_MINUTES = 15
+_MINUTES = 25
 _DEPTH_MARGIN = 0.02  # of the deepest dent, by which another may be deeper
 _WORKERS = os.cpu_count() or 1
 

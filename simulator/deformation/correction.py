@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import cKDTree
 
-from eitskin.simulator.deformation.fitted_plan import UNIT, unfit
 from eitskin.simulator.deformation.solution_store import Arrays
 from eitskin.simulator.mechanics.box_fields import QuadraticField
+from eitskin.simulator.mechanics.fitted_plan import UNIT, unfit
 
 Array = NDArray[np.float64]
 

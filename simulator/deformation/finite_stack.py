@@ -38,7 +38,6 @@ from eitskin.simulator.deformation.contact import (
     PunchedArea,
 )
 from eitskin.simulator.deformation.correction import Correction, gel_interpolator, on_grid
-from eitskin.simulator.deformation.stack_mesh import StackMesh
 from eitskin.simulator.mechanics.box_fields import QuadraticField
 from eitskin.simulator.mechanics.face import Face
 from eitskin.simulator.mechanics.load_stepping import (
@@ -50,6 +49,7 @@ from eitskin.simulator.mechanics.load_stepping import (
 )
 from eitskin.simulator.mechanics.materials import Law, cofactor, determinant
 from eitskin.simulator.mechanics.mixed_solid import Solid, StrainState
+from eitskin.simulator.mechanics.stack_mesh import StackMesh
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -17,12 +17,12 @@ from eitskin.simulator.deformation.contact import DentField
 from eitskin.simulator.deformation.correction import Correction
 from eitskin.simulator.deformation.field import Basis, CubicSplines, Field, Polynomials
 from eitskin.simulator.deformation.finite_stack import FiniteStack
-from eitskin.simulator.deformation.fitted_plan import Contact
 from eitskin.simulator.deformation.solution_store import Report, processes
 from eitskin.simulator.deformation.solution_table import TOLERANCE, Axis, SolutionTable
-from eitskin.simulator.deformation.stack_mesh import Fineness, StackMesh, stack_mesh
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
+from eitskin.simulator.mechanics.fitted_plan import Contact
 from eitskin.simulator.mechanics.layer_stack import Indentation, Mechanics, Stack
+from eitskin.simulator.mechanics.stack_mesh import Fineness, StackMesh, stack_mesh
 from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]

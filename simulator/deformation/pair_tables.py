@@ -25,8 +25,8 @@ from eitskin.simulator.deformation.indentation_tables import (
 )
 from eitskin.simulator.deformation.solution_store import Report
 from eitskin.simulator.deformation.solution_table import Axis, SolutionTable
-from eitskin.simulator.deformation.stack_mesh import Fineness
 from eitskin.simulator.mechanics.layer_stack import Indentation
+from eitskin.simulator.mechanics.stack_mesh import Fineness
 
 Array = NDArray[np.float64]
 

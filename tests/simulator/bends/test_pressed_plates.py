@@ -16,7 +16,7 @@ from eitskin.simulator.deformation.corrections import rectangle_sums
 from eitskin.simulator.deformation.field import Field
 from eitskin.simulator.deformation.finite_stack import FiniteStack
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID
-from eitskin.simulator.deformation.stack_mesh import Fineness
+from eitskin.simulator.mechanics.stack_mesh import Fineness
 
 SIZE, SPAN, PUNCH, MECHANICS = Rectangle(0.080, 0.040), 0.020, Cylinder(0.006), Mechanics()
 DESIGN = SensorDesign(SIZE, 0.005, uniform(SIZE, 8), support=Plates(SPAN))

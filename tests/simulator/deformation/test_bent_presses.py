@@ -15,10 +15,10 @@ from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack
 from eitskin.simulator.deformation.contact import ContactFrame, DentField
 from eitskin.simulator.deformation.correction import Correction
 from eitskin.simulator.deformation.finite_stack import DentedSolid, FiniteStack
-from eitskin.simulator.deformation.fitted_plan import Contact
 from eitskin.simulator.deformation.pressed_sensor import PressedSensor
-from eitskin.simulator.deformation.stack_mesh import Fineness, StackMesh, stack_mesh
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
+from eitskin.simulator.mechanics.fitted_plan import Contact
+from eitskin.simulator.mechanics.stack_mesh import Fineness, StackMesh, stack_mesh
 
 MECHANICS, PUNCH = Mechanics(), Cylinder()
 DESIGN = SensorDesign.reference()

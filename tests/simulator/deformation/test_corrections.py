@@ -31,9 +31,9 @@ from eitskin.simulator.deformation.indentation_tables import (
 from eitskin.simulator.deformation.pair_corrections import pair_corrections
 from eitskin.simulator.deformation.pressed_sensor import PressedSensor
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid
-from eitskin.simulator.deformation.stack_mesh import Fineness
 from eitskin.simulator.deformation.touches import resolve_touch_model
 from eitskin.simulator.mechanics.materials import NeoHookean
+from eitskin.simulator.mechanics.stack_mesh import Fineness
 
 from pressed_stacks import L_SHAPE, corrected, design_on, total
 

@@ -9,9 +9,9 @@ from eitskin.simulator import Cylinder, Mechanics, Sphere
 from eitskin.simulator.deformation import finite_stack
 from eitskin.simulator.deformation.contact import DentField
 from eitskin.simulator.deformation.finite_stack import FiniteStack
-from eitskin.simulator.deformation.fitted_plan import Contact
-from eitskin.simulator.deformation.stack_mesh import Fineness, StackMesh, _faces, stack_mesh
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
+from eitskin.simulator.mechanics.fitted_plan import Contact
+from eitskin.simulator.mechanics.stack_mesh import Fineness, StackMesh, _faces, stack_mesh
 
 MECHANICS, PUNCH = Mechanics(), Cylinder()
 STACK = MECHANICS.stack(SensorDesign.reference())

@@ -22,8 +22,8 @@ from eitskin.simulator.deformation.node_sums import _resample_splines
 from eitskin.simulator.deformation.pressed_sensor import PressedSensor
 from eitskin.simulator.deformation.solution_store import missing
 from eitskin.simulator.deformation.solution_table import SolutionTable
-from eitskin.simulator.deformation.stack_mesh import Fineness
 from eitskin.simulator.deformation.touches import pressed_touches
+from eitskin.simulator.mechanics.stack_mesh import Fineness
 
 from pressed_stacks import L_SHAPE, THICKNESS, corrected, design_on, places_in, total
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from eitskin.geometry.design.outline import Disc, PlaneOutline, Rectangle
 from eitskin.geometry.design.sensor import Free, Plates, Support
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.simulator.deformation.fitted_plan import Contact, FittedPlan, extrude, fit_plan
+from eitskin.simulator.mechanics.fitted_plan import Contact, FittedPlan, extrude, fit_plan
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
 from eitskin.simulator.mechanics.materials import Law
 

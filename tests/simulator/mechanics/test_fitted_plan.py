@@ -10,8 +10,8 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import Disc, Polygon, Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Touch
-from eitskin.simulator.deformation.fitted_plan import Contact, fit_plan, unfit
 from eitskin.simulator.deformation.pressed_sensor import solved_presses
+from eitskin.simulator.mechanics.fitted_plan import Contact, fit_plan, unfit
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 
 MARGIN, CELL = 0.005, 0.0045
