@@ -1,6 +1,6 @@
 """Energy products of potentials over pixels, for adjoint Jacobians on a regular grid."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ from eitskin.geometry.design.outline import Outline
 from eitskin.geometry.meshing.mesh import Mesh
 from eitskin.geometry.meshing.mesh_body import MeshOutline
 from eitskin.simulator.electrical.assembly import Assembly
+from eitskin.simulator.electrical.function_space import FunctionSpace
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
@@ -55,16 +56,74 @@ def pixel_gram(
     x, y = outline.corner
     x_edges = np.linspace(x, x + outline.length, columns + 1)
     y_edges = np.linspace(y, y + outline.width, rows + 1)
+    grid, space, k = _Pixels(x_edges, y_edges), assembly.space, potentials.shape[-1]
+    unseen = None
     if mesh.cells.shape[1] == 8:
-        return _boxes_gram(assembly, mesh, potentials, x_edges, y_edges, along)
-    grid = _Pixels(x_edges, y_edges)
-    if mesh.cells.shape[1] == 6:
-        return _prisms_gram(assembly, potentials, grid, along)
-    gradients = assembly.cell_gradients(potentials)
-    fluxes = gradients if along is None else along(assembly.points) @ gradients
-    fluxes = assembly.cell_weights[..., None, None] * fluxes
-    products = (gradients.swapaxes(2, 3) @ fluxes).reshape(-1, *[potentials.shape[-1]] * 2)
-    return grid.sums(assembly.points[..., :2].reshape(-1, 2), products)
+        parts, unseen = _cut_boxes(space, mesh, grid), _missing_energy(assembly, potentials, along)
+    elif mesh.cells.shape[1] == 6:
+        parts = _cut_prisms(space, grid, k)
+    else:
+        every = np.arange(len(space.origins))
+        parts = iter([_Part(every, assembly.points[..., :2], assembly.cell_weights)])
+    total = np.zeros((rows * columns, k, k), dtype=potentials.dtype)
+    for part in parts:
+        products = _energy_products(assembly, potentials, part, along)
+        if unseen is not None:
+            area = part.weights.sum(axis=1) / space.jacobians[part.elements]
+            products -= (area[:, None, None] * unseen[part.elements])[:, None]
+        places = part.plane.mean(axis=1) if part.one_pixel else part.plane.reshape(-1, 2)
+        np.add(total, grid.sums(places, products.reshape(-1, k, k), part.sizes), out=total)
+    return total
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """Quadrature on some elements.
+
+    Attributes:
+        elements: numbers of the elements, (n,).
+        plane: x and y of the points in each, (n, p, 2) [m].
+        weights: weights of the points, (n, p): areas in columns [m2], volumes elsewhere [m3].
+        upright: heights [m] and weights [m] of a rule over every point in columns, (q,) each.
+        sizes: sides of the squares that the points stand for, (n p,) [m].
+        one_pixel: whether all points of an element lie in one pixel.
+    """
+
+    elements: Indices
+    plane: Array
+    weights: Array
+    upright: tuple[Array, Array] | None = None
+    sizes: Array | float = 0.0
+    one_pixel: bool = False
+
+
+def _energy_products(
+    assembly: Assembly, potentials: Numbers, part: _Part, along: Tensors | None
+) -> Numbers:
+    """Products grad u_k . S grad u_l by weights, of each point, (n, p, k, k), or of each element.
+
+    Of elements that lie in one pixel they are summed, (n, 1, k, k).
+    """
+    count, points, k = *part.plane.shape[:2], potentials.shape[-1]
+    weights = part.weights[..., None]
+    if part.upright is None:
+        places = assembly.points[:, :, None]
+        gradients = assembly.cell_gradients(potentials).swapaxes(1, 2)[:, :, :, None]
+    else:
+        heights, along_height = part.upright
+        weights = weights * along_height
+        gradients = assembly.space.column_gradients(potentials, part.elements, part.plane, heights)
+        places = np.empty((count, points, len(heights), 3))
+        places[..., :2], places[..., 2] = part.plane[:, :, None], heights
+    fluxes = gradients
+    if along is not None:
+        fluxes = np.moveaxis(along(places) @ np.moveaxis(gradients, 1, 3), 3, 1)
+    pair: tuple[Numbers, Numbers] = gradients, weights[:, None, ..., None] * fluxes
+    if part.one_pixel:
+        first, second = (each.reshape(count, 1, -1, k) for each in pair)
+    else:
+        first, second = (np.moveaxis(each, 1, 2).reshape(count, points, -1, k) for each in pair)
+    return first.swapaxes(2, 3) @ second
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,18 +133,13 @@ class _Pixels:
     x_edges: Array
     y_edges: Array
 
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Number of rows and of columns."""
-        return len(self.y_edges) - 1, len(self.x_edges) - 1
-
     def sums(self, points: Array, values: Numbers, sizes: Array | float = 0.0) -> Numbers:
         """Sums of values (n, k, k) at points (n, 2) [m] over each pixel, (pixels, k, k).
 
         A point stands for a square of side `sizes` (n,) [m], at most a pixel's, about it; pixels
         share the value by the areas of the square that lie in them.
         """
-        rows, columns = self.shape
+        rows, columns = len(self.y_edges) - 1, len(self.x_edges) - 1
         across = _shares(points[:, 0], self.x_edges, sizes)
         along = _shares(points[:, 1], self.y_edges, sizes)
         pixel = [row * columns + column for row, _ in along for column, _ in across]
@@ -109,34 +163,21 @@ def _shares(x: Array, edges: Array, sizes: Array | float) -> list[tuple[Indices,
     return [(low, 1.0 - share), (high, share)]
 
 
-def _prisms_gram(
-    assembly: Assembly, potentials: Numbers, pixels: _Pixels, along: Tensors | None
-) -> Numbers:
-    """Integrals on prisms: the elements' rule upwards, a rule of sub-triangles in the plane."""
-    space, side = assembly.space, min(np.diff(pixels.x_edges)[0], np.diff(pixels.y_edges)[0])
-    corners = space.plane_corners()
+def _cut_prisms(space: FunctionSpace, pixels: _Pixels, k: int) -> Iterator[_Part]:
+    """Prisms: the elements' rule upwards, a rule of sub-triangles in the plane."""
+    side = min(np.diff(pixels.x_edges)[0], np.diff(pixels.y_edges)[0])
+    corners, upright = space.plane_corners(), space.upright_rule()
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     parts = np.where(longest > side, np.ceil(2.0 * longest / side), 1).astype(int)
-    heights, upright = space.upright_rule()
-    k = potentials.shape[-1]
-    total = np.zeros((np.prod(pixels.shape), k, k), potentials.dtype)
     for n in np.unique(parts):
         shares, weights = _composite_rule(int(n), space.plane_degree)
         chosen = np.flatnonzero(parts == n)
-        step = max(1, _AT_ONCE // (len(weights) * (3 * len(heights) + k) * k))
+        step = max(1, _AT_ONCE // (len(weights) * (3 * len(upright[0]) + k) * k))
         for start in range(0, len(chosen), step):
             elements = chosen[start : start + step]
-            plane = shares @ corners[elements]
-            area = (space.jacobians[elements, None] * weights)[..., None] * upright
-            fluxes = _gradients_and_fluxes(
-                assembly, potentials, elements, plane, heights, area, along
-            )
-            first, second = (np.moveaxis(g, 1, 2).reshape(*plane.shape[:2], -1, k) for g in fluxes)
-            products = first.swapaxes(2, 3) @ second
-            sizes = np.sqrt(space.jacobians[elements, None] * weights).ravel() * (n > 1)
-            sums = pixels.sums(plane.reshape(-1, 2), products.reshape(-1, k, k), sizes)
-            np.add(total, sums, out=total)
-    return total
+            area = space.jacobians[elements, None] * weights
+            sizes = np.sqrt(area).ravel() * (n > 1)
+            yield _Part(elements, shares @ corners[elements], area, upright, sizes)
 
 
 def _composite_rule(n: int, degree: int) -> tuple[Array, Array]:
@@ -153,63 +194,21 @@ def _composite_rule(n: int, degree: int) -> tuple[Array, Array]:
     return np.stack([1.0 - u - v, u, v], axis=1), np.tile(weights, n * n) / n**2
 
 
-def _boxes_gram(
-    assembly: Assembly,
-    mesh: Mesh,
-    potentials: Numbers,
-    x_edges: Array,
-    y_edges: Array,
-    along: Tensors | None,
-) -> Numbers:
-    """Integrals on boxes, by a Gauss rule on every overlap that is exact for the elements."""
+def _cut_boxes(space: FunctionSpace, mesh: Mesh, pixels: _Pixels) -> Iterator[_Part]:
+    """Overlaps of boxes and pixels, with a Gauss rule that is exact for the elements."""
     x, y, z = (np.unique(mesh.points[:, axis]) for axis in range(3))
-    order = assembly.space.element.face_degree + 1
-    x_nodes, x_weights, x_cell, x_pixel = _overlaps(x, x_edges, order)
-    y_nodes, y_weights, y_cell, y_pixel = _overlaps(y, y_edges, order)
-    z_nodes, z_weights = (part.ravel() for part in _overlaps(z, z[[0, -1]], order)[:2])
-    x_shares, y_shares = (
-        weights.sum(axis=1, keepdims=True) / np.diff(faces)[cell][:, None]
-        for weights, faces, cell in ((x_weights, x, x_cell), (y_weights, y, y_cell))
-    )
-    unseen = _missing_energy(assembly, potentials, along)
-    count, columns = potentials.shape[-1], len(x_edges) - 1
-    total = np.zeros((columns * (len(y_edges) - 1), count, count), dtype=potentials.dtype)
+    order = space.element.face_degree + 1
+    x_nodes, x_weights, x_cell = _overlaps(x, pixels.x_edges, order)
+    y_nodes, y_weights, y_cell = _overlaps(y, pixels.y_edges, order)
+    heights, upright, _ = _overlaps(z, z[[0, -1]], order)
     # A few overlaps along x at a time bound the memory.
     for start in range(0, len(x_nodes), _OVERLAPS):
         part = slice(start, start + _OVERLAPS)
-        plane = _pairs(x_nodes[part], y_nodes)
         # Boxes of a structured mesh are numbered upwards first, then along y.
         elements = (x_cell[part, None] * (len(y) - 1) + y_cell).ravel()
-        area = _pairs(x_weights[part], y_weights).prod(axis=-1)[..., None] * z_weights
-        both = _gradients_and_fluxes(assembly, potentials, elements, plane, z_nodes, area, along)
-        gradients, fluxes = (each.reshape(len(plane), -1, count) for each in both)
-        products = gradients.swapaxes(1, 2) @ fluxes
-        shares = _pairs(x_shares[part], y_shares).prod(axis=-1)
-        products -= shares[..., None] * unseen[elements]
-        np.add.at(total, (y_pixel * columns + x_pixel[part, None]).ravel(), products)
-    return total
-
-
-def _gradients_and_fluxes(
-    assembly: Assembly,
-    potentials: Numbers,
-    elements: Indices,
-    plane: Array,
-    heights: Array,
-    weights: Array,
-    along: Tensors | None,
-) -> tuple[Numbers, Numbers]:
-    """Gradients of u_k, and S times these by weights (n, p, q) [m3], both (n, 3, p, q, k).
-
-    At heights (q,) [m] above points of the plane (n, p, 2) [m] in the columns `elements`.
-    """
-    gradients = assembly.space.column_gradients(potentials, elements, plane, heights)
-    fluxes = gradients
-    if along is not None:
-        points = np.empty((*gradients.shape[:1], *gradients.shape[2:4], 3))
-        points[..., :2], points[..., 2] = plane[:, :, None], heights
-        fluxes = np.moveaxis(along(points) @ np.moveaxis(gradients, 1, 3), 3, 1)
-    return gradients, weights[:, None, ..., None] * fluxes
+        plane = _pairs(x_nodes[part], y_nodes)
+        area = _pairs(x_weights[part], y_weights).prod(axis=-1)
+        yield _Part(elements, plane, area, (heights.ravel(), upright.ravel()), one_pixel=True)
 
 
 def _missing_energy(assembly: Assembly, potentials: Numbers, along: Tensors | None) -> Numbers:
@@ -230,17 +229,10 @@ def _pairs(x: Array, y: Array) -> Array:
     return np.stack(list(pairs), axis=-1).reshape(len(x) * len(y), -1, 2)
 
 
-def _overlaps(
-    faces: Array, pixel_edges: Array, order: int
-) -> tuple[Array, Array, NDArray[np.int64], NDArray[np.int64]]:
-    """Gauss points and weights (n, order) on n overlaps, and the cell and pixel of each overlap."""
+def _overlaps(faces: Array, pixel_edges: Array, order: int) -> tuple[Array, Array, Indices]:
+    """Gauss points and weights (n, order) on n overlaps of cells and pixels, and their cells."""
     edges = np.unique(np.concatenate([faces, pixel_edges]).round(12))
     start, size = edges[:-1, None], np.diff(edges)[:, None]
     nodes, weights = np.polynomial.legendre.leggauss(order)
-    middle = (start + 0.5 * size)[:, 0]
-    return (
-        start + 0.5 * (nodes + 1.0) * size,
-        0.5 * weights * size,
-        np.searchsorted(faces, middle) - 1,
-        np.searchsorted(pixel_edges, middle) - 1,
-    )
+    cell = np.searchsorted(faces, (start + 0.5 * size)[:, 0]) - 1
+    return start + 0.5 * (nodes + 1.0) * size, 0.5 * weights * size, cell
