@@ -171,7 +171,7 @@ def deformations(case: ReferenceCase) -> dict[str, Model]:
     }
     shipped = resolve_touch_model(touches, _sensor(case, None)) == TABLE_MODEL
     if shipped:
-        models[TABLE_MODEL] = lambda: dents([touches], _sensor(case, TABLE_MODEL))[0]
+        models[TABLE_MODEL] = lambda: dents([touches], [_sensor(case, TABLE_MODEL)])[0]
     return models
 
 
@@ -207,7 +207,7 @@ def _clamped_3d(case: ReferenceCase) -> Deformation:
 
 def _pressed_3d(case: ReferenceCase) -> Deformation:
     solved_presses.cache_clear()
-    return dents([case.scene.touches], _sensor(case, SOLVED_MODEL))[0]
+    return dents([case.scene.touches], [_sensor(case, SOLVED_MODEL)])[0]
 
 
 def _unbounded_dents(case: ReferenceCase) -> Deformation:

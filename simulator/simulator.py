@@ -126,6 +126,7 @@ class Simulator:
         )
         self._last: tuple[tuple[Scene, float | None], NDArray[np.inexact]] | None = None
         self._bent: tuple[tuple[Bend, Support], Deformation] | None = None
+        self._supported: dict[Support, SensorDesign] = {design.support: design}
 
     @property
     def model(self) -> ForwardModel:
@@ -237,9 +238,10 @@ class Simulator:
 
         Raises ConfigurationError where the sensor cannot rest on that support.
         """
-        if scene.support is None or scene.support == self.design.support:
-            return self.design
-        return dataclasses.replace(self.design, support=scene.support)
+        support = self.design.support if scene.support is None else scene.support
+        if support not in self._supported:
+            self._supported[support] = dataclasses.replace(self.design, support=support)
+        return self._supported[support]
 
     def simulate_deformation(self, deformation: Deformation) -> Frame:
         """Noise-free frame of the sensor under any deformation, such as `Displaced`."""
@@ -363,11 +365,19 @@ class Simulator:
         self, scenes: Sequence[Scene]
     ) -> Iterator[Dents | BentPresses | TetrahedralField | None]:
         """Deformations by touches; None without any, and where the dents of a body have faded."""
-        pressed: dict[PressedSensor, list[tuple[Touch, ...]]] = {}
+        pressed: dict[object, list[tuple[tuple[Touch, ...], PressedSensor]]] = {}
+        keys: list[object] = []
         for scene in scenes:
             if scene.touches and not self._is_body:
-                pressed.setdefault(self._pressed_sensor(scene), []).append(scene.touches)
-        dented = {sensor: iter(dents(touches, sensor)) for sensor, touches in pressed.items()}
+                sensor = self._pressed_sensor(scene)
+                # Sensors that differ in the angle of their plates alone are summed together.
+                keys.append((sensor._replace(plates=None), sensor.is_bent))
+                pressed.setdefault(keys[-1], []).append((scene.touches, sensor))
+        dented = {
+            key: iter(dents([touches for touches, _ in some], [sensor for _, sensor in some]))
+            for key, some in pressed.items()
+        }
+        next_key = iter(keys)
         for scene in scenes:
             if not scene.touches:
                 yield None
@@ -375,7 +385,7 @@ class Simulator:
                 body = solve_presses(scene.touches, self.design, self.mechanics)
                 yield None if body is None else body.field
             else:
-                yield next(dented[self._pressed_sensor(scene)])
+                yield next(dented[next(next_key)])
 
     def conductivity(self, scene: Scene) -> Field | None:
         """Pulled-back conductivity of `deformed_layer`, (..., 3, 3) [S/m]; None where flat."""

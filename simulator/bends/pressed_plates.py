@@ -155,12 +155,12 @@ class PlatesCase:
             Axis("part", "polynomial", np.array(_PARTS)),
         )
 
-    def deepest(self, x: float) -> float:
-        """Deepest tabulated dent at a place along the sensor [m]."""
+    def deepest(self, x: Array | float) -> Array:
+        """Deepest tabulated dents at places along the sensor [m]."""
         outline, H = self.outline, self.design.encapsulated_thickness
-        within = 0.5 * self.clamp.span - abs(x - 0.5 * outline.length)
-        on_plate = 1.0 / (1.0 + math.exp((within / H - _BESIDE) / _WITHIN))
-        return H * (_IN_GAP + (_DEEPEST - _IN_GAP) * on_plate)
+        within = 0.5 * self.clamp.span - np.abs(x - 0.5 * outline.length)
+        on_plate = 1.0 / (1.0 + np.exp((within / H - _BESIDE) / _WITHIN))
+        return np.asarray(H * (_IN_GAP + (_DEEPEST - _IN_GAP) * on_plate))
 
     def bases(self) -> tuple[CubicSplines, CubicSplines]:
         """Splines of the fields along x and y."""
@@ -185,7 +185,9 @@ class PlatesCase:
 def solve_place(case: PlatesCase, place: tuple[float, float]) -> PressFields:
     """Fields d over the depth of presses at a place [m], (angles, parts, nx, ny, nz, 4)."""
     about, (x, y), outline = case.indentations, place, case.outline
-    dents = about.with_depths([part * case.deepest(x) / about.thickness for part in _PARTS]).dents
+    dents = about.with_depths(
+        [part * float(case.deepest(x)) / about.thickness for part in _PARTS]
+    ).dents
     body, middle = about.mesh(outline, [place], _FINENESS), 0.5 * outline.length
 
     def solve_dents(
@@ -279,45 +281,37 @@ class PlateBend:
 
     def reaches(self, indenter: Indenter, x: float, depth: float) -> bool:
         """Whether a dent at x to a depth [m] is within the table."""
-        case = self._case(indenter)
-        in_angle = ANGLES_DEG[0] <= self.angle_deg <= ANGLES_DEG[-1]
-        return in_angle and depth <= self._deepest(case, x) * (1.0 + _DEPTH_MARGIN)
+        return bool(self._is_reached(indenter, x, depth, self.angle_deg))
 
     def check(self, indenter: Indenter, x: float, depth: float) -> None:
         """Raise ConfigurationError for a dent at x to a depth [m] that the table does not reach."""
-        if self.reaches(indenter, x, depth):
-            return
-        deepest = self._deepest(self._case(indenter), x)
-        raise ConfigurationError(
-            f"touches on plates are tabulated from {ANGLES_DEG[0]:g} to {ANGLES_DEG[-1]:g} deg, "
-            f"and at x = {x:g} m to dents of {1e3 * deepest:.2f} mm, got {self.angle_deg:g} deg "
-            f"and {1e3 * depth:.2f} mm; press less or farther from the gap (in a recipe by "
-            "from_middle), bend less, or solve scenes with touch_model='solved'"
-        )
+        self._require_reach(indenter, np.array([[x, 0.0, depth]]), np.array([self.angle_deg]))
 
     def evaluate(
-        self, indenter: Indenter, places: Array, scenes: Indices, sums: NodeSums | None = None
+        self,
+        indenter: Indenter,
+        places: Array,
+        angles_deg: Array,
+        scenes: Indices,
+        sums: NodeSums | None = None,
     ) -> Array:
-        """Add what plates change of presses on a rigid base to scenes (n,) of sums.
+        """Add what plates at angles change of presses on a rigid base to scenes (n,) of sums.
 
-        Places are (x, y, depth) of presses, (n, 3) [m]. Returns by how much deeper each sinks [m].
-        Raises ConfigurationError beyond the table.
+        Places are (x, y, depth) of presses, (n, 3) [m]; angles (n,) replace that of these plates.
+        Returns by how much deeper each sinks [m]. Raises ConfigurationError beyond the table.
         """
-        for x, _, depth in places.tolist():
-            self.check(indenter, x, depth)
+        self._require_reach(indenter, places, angles_deg)
         case = self._case(indenter)
         table, (along, across) = load_table(case.problem()), case.bases()
         (x, y, depth), higher = places.T, self.design.thickness / table.size("height")
         images = DIRECT, MIRRORED_Y, MIRRORED_X, BOTH_MIRRORED
         every = sum_of(table, (table,), sums.components if sums else 3, images)
         # Beyond the outermost solved place the plates change nearly nothing.
-        first = float(table.nodes("x")[0])
-        nominal = [self._nominal_place(case, each) for each in x.tolist()]
+        first, nominal = float(table.nodes("x")[0]), self._nominal_places(case, x)
         place = {"x": np.clip(nominal, first, self.design.outline.length - first), "y": y}
-        part = depth / np.array([self._deepest(case, each) for each in x.tolist()])
-        angle = np.full(len(x), self.angle_deg)
+        part = depth / self._deepest(case, x)
         amounts, extra = every.amounts(
-            [1.0], self.design.thickness, **place, angle=angle, part=part
+            [1.0], self.design.thickness, **place, angle=angles_deg, part=part
         )
         if sums:
             amounts = amounts * (depth / higher)[:, None]
@@ -325,19 +319,43 @@ class PlateBend:
             sums.add(every.modes, amounts, *functions, scenes)
         return np.asarray(extra * depth / higher)
 
+    def _is_reached(
+        self, indenter: Indenter, x: Array | float, depth: Array | float, angle_deg: Array | float
+    ) -> Array:
+        """Whether dents at x to depths [m] are within the table."""
+        deepest = self._deepest(self._case(indenter), x) * (1.0 + _DEPTH_MARGIN)
+        in_angle = (ANGLES_DEG[0] <= np.asarray(angle_deg)) & (angle_deg <= ANGLES_DEG[-1])
+        return np.asarray(in_angle & (depth <= deepest))
+
+    def _require_reach(self, indenter: Indenter, places: Array, angles_deg: Array) -> None:
+        """Raise ConfigurationError for places (x, y, depth) that the table does not reach."""
+        reached = self._is_reached(indenter, places[:, 0], places[:, 2], angles_deg)
+        if reached.all():
+            return
+        number = int(reached.argmin())
+        x, _, depth = places[number].tolist()
+        deepest = float(self._deepest(self._case(indenter), x))
+        raise ConfigurationError(
+            f"touches on plates are tabulated from {ANGLES_DEG[0]:g} to {ANGLES_DEG[-1]:g} deg, "
+            f"and at x = {x:g} m to dents of {1e3 * deepest:.2f} mm, got "
+            f"{angles_deg[number]:g} deg and {1e3 * depth:.2f} mm; press less or farther from the "
+            "gap (in a recipe by from_middle), bend less, or solve scenes with "
+            "touch_model='solved'"
+        )
+
     def _case(self, indenter: Indenter) -> PlatesCase:
         return nominal_case(self.design, self.clamp, self.mechanics, indenter, self.grid)
 
-    def _deepest(self, case: PlatesCase, x: float) -> float:
-        """Deepest tabulated dent at x of this sensor [m]."""
+    def _deepest(self, case: PlatesCase, x: Array | float) -> Array:
+        """Deepest tabulated dents at x of this sensor [m]."""
         higher = self.design.thickness / case.design.thickness
-        return higher * case.deepest(self._nominal_place(case, x))
+        return higher * case.deepest(self._nominal_places(case, x))
 
-    def _nominal_place(self, case: PlatesCase, x: float) -> float:
-        """Place of the nominal sensor as far from the edge of its plate [m]."""
+    def _nominal_places(self, case: PlatesCase, x: Array | float) -> Array:
+        """Places of the nominal sensor as far from the edge of its plate [m]."""
         middle = 0.5 * self.design.outline.length
-        away = abs(x - middle) - 0.5 * (self.clamp.span - case.clamp.span)
-        return middle + math.copysign(max(away, 0.0), x - middle)
+        away = np.abs(x - middle) - 0.5 * (self.clamp.span - case.clamp.span)
+        return np.asarray(middle + np.copysign(np.maximum(away, 0.0), x - middle))
 
 
 def held_by_plates(
@@ -359,7 +377,7 @@ def held_by_plates(
     return PlateBend(design, held, mechanics, grid, angle_deg if clamp is fixture else 0.0)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=128)
 def _bend(plate_bend: PlateBend) -> Deformation:
     fixed = plate_bend.design, plate_bend.clamp, plate_bend.mechanics, Bend(plate_bend.angle_deg)
     return bend_table.bend(*fixed, plate_bend.grid)

@@ -85,6 +85,18 @@ class NodeSums:
             image = mirror(total[row], (place // 2 % 2, place % 2))
             self.values[place // 4, :, :levels] += image
 
+    def turn(self, rotations: Array, scenes: Indices, scales: Array) -> None:
+        """Turn the first sums by rotations (n, 3, 3), and add each to one of `scenes` (n,).
+
+        The sums of scenes, which follow, stay. Rotations are of components times scales (k,).
+        """
+        count, scaled = len(rotations), scales[:3]
+        turned = (rotations * scaled / scaled[:, None]).astype(np.float32)
+        parts, self.values = self.values[:count], self.values[count:]
+        for scene, rotation, part in zip(scenes.tolist(), turned, parts, strict=True):
+            self.values[scene, :, :, :3] += rotation @ part[:, :, :3]
+            self.values[scene, :, :, 3:] += part[:, :, 3:]
+
     def fields(self, height: float, scales: Array) -> list[Field]:
         """Sums of all scenes, with components (k,) times scales, on a box of a height [m]."""
         splines = CubicSplines(self.nodes[0]), CubicSplines(self.nodes[1])

@@ -78,11 +78,16 @@ class PlatesUnder(Protocol):
         ...
 
     def evaluate(
-        self, indenter: AnyIndenter, places: Array, scenes: Indices, sums: NodeSums | None
+        self,
+        indenter: AnyIndenter,
+        places: Array,
+        angles_deg: Array,
+        scenes: Indices,
+        sums: NodeSums | None,
     ) -> Array:
-        """Add what the plates change of presses (x, y, depth), (n, 3) [m], to scenes (n,) of sums.
+        """Add what plates at angles (n,) change of presses (x, y, depth), (n, 3) [m], to sums.
 
-        Returns by how much deeper each sinks [m], (n,).
+        There presses have scenes (n,). Returns by how much deeper each sinks [m], (n,).
         """
         ...
 
@@ -109,6 +114,11 @@ class PressedSensor(NamedTuple):
         """Whether corrections of its presses can be tabulated."""
         on_plates = isinstance(self.design.support, Plates)
         return is_tabulable(self.design) and on_plates == (self.plates is not None)
+
+    @property
+    def is_bent(self) -> bool:
+        """Whether plates bend it."""
+        return self.plates is not None and self.plates.angle_deg != 0.0
 
     @property
     def bend(self) -> Deformation | None:

@@ -1,6 +1,5 @@
 """Touches of a scene: their dents, depth, contact and pressure."""
 
-import dataclasses
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import combinations
@@ -10,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.outline import Polygon, Rectangle
 from eitskin.geometry.design.sensor import Free, Plates, SensorDesign
 from eitskin.geometry.design.surface import Surface
@@ -71,29 +69,30 @@ _LARGEST_STEP, _LEAST_SUNK = math.log(4.0), -0.9
 
 
 def dents(
-    scenes: Sequence[tuple[Touch, ...]], sensor: PressedSensor
+    scenes: Sequence[tuple[Touch, ...]], sensors: Sequence[PressedSensor]
 ) -> Sequence[Dents | BentPresses]:
     """Deformations of the gel by the touches of each scene, which do not depend on other scenes.
 
-    Those of a sensor that plates have bent include its bend. Raises ConfigurationError for presses
-    beyond the range of the model.
+    Each scene has a sensor; they differ in the angle of their plates alone, and all are bent or
+    none is. Those of a sensor that plates have bent include its bend. Raises ConfigurationError for
+    presses beyond the range of the model.
     """
-    dented = [_solve_dents(touches, sensor) for touches in scenes]
-    summed = iter(
-        _interpolate_corrections([each for each in dented if each.solved is None], sensor)
+    dented = [_solve_dents(*each) for each in zip(scenes, sensors, strict=True)]
+    tabulated = [n for n, one in enumerate(dented) if one.solved is None]
+    summed = _interpolate_corrections(
+        [dented[n] for n in tabulated], [sensors[n] for n in tabulated]
     )
-    corrected = [(one, next(summed) if one.solved is None else (one.solved,)) for one in dented]
-    if (bend := sensor.bend) is None:
-        return [
-            Dents(tuple(PlacedDent(t.x, t.y, dent) for _, t, dent in one.parts), fields)
-            for one, fields in corrected
-        ]
-    bent = []
-    for one, fields in corrected:
+    found: list[Dents | BentPresses] = []
+    for one, sensor in zip(dented, sensors, strict=True):
+        fields = next(summed) if one.solved is None else (one.solved,)
+        if (bend := sensor.bend) is None:
+            placed = tuple(PlacedDent(t.x, t.y, dent) for _, t, dent in one.parts)
+            found.append(Dents(placed, fields))
+            continue
         shape = bend if one.solved is None else sensor.state or bend
-        placed = ((sensor.frame(shape, t.x, t.y), dent) for _, t, dent in one.parts)
-        bent.append(BentPresses(bend, tuple(placed), Dents((), fields)))
-    return bent
+        turned = ((sensor.frame(shape, t.x, t.y), dent) for _, t, dent in one.parts)
+        found.append(BentPresses(bend, tuple(turned), Dents((), fields)))
+    return found
 
 
 def sketched_dents(touches: Iterable[Touch], design: SensorDesign) -> Dents:
@@ -147,7 +146,7 @@ def _solve_dents(
             scene = scene._replace(solved=solved)
             scene.sunk[list(presses)] = solved.sunk
         elif acting and (with_depths or search.is_needed):
-            scene.sunk[list(presses)] = _evaluate([scene], sensor, None)[1]
+            scene.sunk[list(presses)] = _evaluate([scene], [sensor], None)[1]
         if search.advance(np.array([each.depth for each in dented]), scene.sunk):
             return scene
     raise ConfigurationError(
@@ -157,22 +156,40 @@ def _solve_dents(
 
 
 def _interpolate_corrections(
-    scenes: list[_DentedScene], sensor: PressedSensor
+    scenes: list[_DentedScene], sensors: list[PressedSensor]
 ) -> Iterator[tuple[ColumnField, ...]]:
-    """Corrections of the dents of each scene by tables."""
+    """Corrections of the dents of each scene by tables.
+
+    On bent plates those of a rigid base are turned to the bent gel, each press and each pair on its
+    own, at its middle; what plates change is not turned.
+    """
     pressed = [scene for scene in scenes if scene.parts]
     if not pressed:
         return iter([()] * len(scenes))
-    if sensor.bend is not None:
-        return iter([_turned_sum(scene, sensor, sensor.bend) for scene in scenes])
-    sums, scales = _slot_sums(pressed[0], len(scenes), sensor)
+    turns: list[Array] = []
+    slots = len(scenes)
+    if bent := sensors[0].is_bent:
+        presses = [(k, t.x, t.y) for k, one in enumerate(scenes) for _, t, _ in one.parts]
+        owners, places = [k for k, *_ in presses], np.array(presses)[:, 1:]
+        pairs = _touch_pairs(scenes)
+        middles = [(places[a] + places[b]) / 2.0 for a, b in pairs]
+        owners += [owners[a] for a, _ in pairs]
+        for k, (x, y) in zip(owners, np.stack([*places, *middles]).tolist(), strict=True):
+            if (bend := sensors[k].bend) is not None:
+                turns.append(sensors[k].frame(bend, x, y).rotation)
+        slots += len(turns)
+    sums, scales = _slot_sums(pressed[0], slots, sensors[0])
     fields: list[list[ColumnField]] = [[] for _ in scenes]
-    for owner, _, field in _evaluate(scenes, sensor, sums)[0]:
-        fields[owner].append(field)
-    summed = sums.fields(sensor.design.thickness, scales) if sums else [None] * len(scenes)
-    return (
-        (*own, *([total] if total is not None and scene.parts else []))
-        for scene, own, total in zip(scenes, fields, summed, strict=True)
+    for owner, slot, field in _evaluate(scenes, sensors, sums, bent)[0]:
+        fields[owner].append(field.rotate(turns[slot]) if bent else field)
+    if sums is not None and bent:
+        sums.turn(np.array(turns), np.array(owners), scales)
+    summed = sums.fields(sensors[0].design.thickness, scales) if sums else [None] * len(scenes)
+    return iter(
+        [
+            (*own, *([total] if total is not None and scene.parts else []))
+            for scene, own, total in zip(scenes, fields, summed, strict=True)
+        ]
     )
 
 
@@ -187,42 +204,26 @@ def _slot_sums(
     return rectangle_sums(design, slots, components) if needs_sums else None, table.scales
 
 
-def _turned_sum(
-    scene: _DentedScene, sensor: PressedSensor, bend: Deformation
-) -> tuple[ColumnField, ...]:
-    """Corrections of a scene on bent plates: those of a rigid base turned to the bent gel.
-
-    Each press and each pair is turned on its own, at its middle; what plates change is not turned.
-    """
-    places = np.array([(t.x, t.y) for _, t, _ in scene.parts])
-    if not len(places):
-        return ()
-    middles = [(places[a] + places[b]) / 2.0 for a, b in _touch_pairs([scene])]
-    turns = [sensor.frame(bend, x, y).rotation for x, y in np.stack([*places, *middles]).tolist()]
-    sums, scales = _slot_sums(scene, len(turns) + 1, sensor)
-    others = _evaluate([scene], sensor, sums, apart=True)[0]
-    fields: list[ColumnField] = [field.rotate(turns[slot]) for _, slot, field in others]
-    summed = sums.fields(sensor.design.thickness, scales) if sums else []
-    parts = [field.rotate(turn) for field, turn in zip(summed, [*turns, np.eye(3)], strict=True)]
-    total = np.sum([part.coefficients for part in parts], axis=0)
-    return (*fields, dataclasses.replace(parts[0], coefficients=total))
-
-
 def _evaluate(
-    scenes: list[_DentedScene], sensor: PressedSensor, sums: NodeSums | None, apart: bool = False
+    scenes: list[_DentedScene],
+    sensors: list[PressedSensor],
+    sums: NodeSums | None,
+    apart: bool = False,
 ) -> tuple[list[tuple[int, int, Field]], Array]:
     """Fields that are not in the sums, and by what the parts of scenes sink deeper [m].
 
     Each field comes with the numbers of its scene and of its slot in the sums. There each scene has
-    a slot. Presses and pairs `apart` have one each, the presses first, and a last one of what
-    plates change.
+    a slot. Presses and pairs `apart` have one each, the presses first; the slots of scenes follow
+    and have what plates change.
     """
-    design, mechanics, _, grid, plates = sensor
+    design, mechanics, _, grid, plates = sensors[0]
     presses = [(k, t, dent) for k, one in enumerate(scenes) for _, t, dent in one.parts]
     count, owners = len(presses), np.array([k for k, *_ in presses])
     places = np.array([(t.x, t.y, dent.depth) for _, t, dent in presses])
     index_pairs = _touch_pairs(scenes)
-    slots = np.arange(count + len(index_pairs) + 1) if apart else owners
+    slots = np.arange(count) if apart else owners
+    scene_slots = owners + (count + len(index_pairs)) * apart
+    angles = np.array([0.0 if s.plates is None else s.plates.angle_deg for s in sensors])[owners]
     fields: list[tuple[int, int, Field]] = []
     extra = np.zeros(count)
     # In an order that does not depend on other scenes.
@@ -233,8 +234,9 @@ def _evaluate(
         for n, each in zip(here.tolist(), pair_fields, strict=True):
             fields += [(int(owners[n]), int(slots[n]), field) for field in each]
         if plates is not None:
-            last = np.full(len(here), count + len(index_pairs)) if apart else owners[here]
-            extra[here] += plates.evaluate(indenter, places[here], last, sums)
+            extra[here] += plates.evaluate(
+                indenter, places[here], angles[here], scene_slots[here], sums
+            )
     # Between different indenters the change is that by those of the smaller one's kind.
     pairs: dict[AnyIndenter, list[tuple[int, int, int]]] = {}
     for number, (first, second) in enumerate(index_pairs):

@@ -102,7 +102,7 @@ def _energy_products(
 ) -> Numbers:
     """Products grad u_k . S grad u_l by weights, of each point, (n, p, k, k), or of each element.
 
-    Of elements that lie in one pixel they are summed, (n, 1, k, k).
+    Those of an element that lies in one pixel are summed, (n, 1, k, k).
     """
     count, points, k = *part.plane.shape[:2], potentials.shape[-1]
     weights = part.weights[..., None]

@@ -53,7 +53,8 @@ def plates(tmp_path_factory):
 def changed(held: PlateBend, x: float, y: float, depth: float) -> tuple[Field, float]:
     """What plates change of a press: the field, and by how much deeper it sinks [m]."""
     sums = rectangle_sums(DESIGN, 1, 3)
-    (extra,) = held.evaluate(PUNCH, np.array([[x, y, depth]]), np.zeros(1, int), sums)
+    at = np.array([[x, y, depth]]), np.array([held.angle_deg]), np.zeros(1, int)
+    (extra,) = held.evaluate(PUNCH, *at, sums)
     (field,) = sums.fields(DESIGN.thickness, np.array([1.0, 1.0, DESIGN.thickness]))
     return field, float(extra)
 
