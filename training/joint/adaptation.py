@@ -7,10 +7,12 @@ gets a last layer of its own by presses on a twin, by known touches, or by both.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.errors import DataError
 from eitskin.simulator.instrument.session import DRIFT_TIME
 from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior, mixture_curve
 from eitskin.training.joint.combinations import Combinations, CombinedChange, log_change
@@ -30,6 +32,8 @@ Array = NDArray[np.float64]
 Combined = Callable[[Array, float, float], CombinedChange]
 
 STATED_ANGLES = 8  # at which standard errors are stated
+MAX_MISFIT = 1.5  # of known angles: correct ones have 0.7 to 1, one of five off by ten degrees 6
+MAX_SHARE, IMPOSSIBLE_MISFIT = 0.4, 50.0  # without the worst angle; of angles in radians 190
 PRIOR_FRAMES = 1.0  # frames with noise as in training, that count next to the known ones
 NOISE_SCALE = (0.5, 5.0)  # bounds of the noise relative to that of training
 # Growth of the covariance of curves with how strange a sensor is among those learned from
@@ -72,6 +76,8 @@ def adapted_curve(
             frames in both means that are compared, and the time between these [s].
         drift: standard deviation after `DRIFT_TIME` of the factor common to all measurements.
         noise_scale: noise of a frame relative to that in training.
+
+    Raises DataError for angles that contradict each other, or any sensor learned from.
     """
     priors, odds = [curves.predict_widened(features, WIDENING)], [0.0]
     if usual is not None:
@@ -91,6 +97,7 @@ def adapted_curve(
     shared, own = combinations.drift, combinations.restrict(changes[0].good)[1]
     noise = np.kron(together, own) + np.kron(walk, np.outer(shared, shared))
     bends = known_frames.angle_deg, np.array([change.change for change in changes]), noise
+    _require_agreeing(priors, *bends)
     logs = np.add([curve.log_likelihood(*bends) for curve in priors], odds)
     shares = np.exp(logs - logs.max())
     curve = mixture_curve([prior.condition(*bends) for prior in priors], shares / shares.sum())
@@ -107,6 +114,37 @@ def adapted_curve(
     ]
     residual = float(np.sqrt(np.mean(np.square(residuals))))
     return curve, Calibration(tuple(angles), errors[0], errors[1], residual)
+
+
+def _require_agreeing(
+    priors: list[BendCurve], angle_deg: Array, change: Array, noise: Array
+) -> None:
+    """Refuse an angle that all others contradict, or all; arguments as of `BendCurve.misfit`.
+
+    A clamp unlike those learned from misfits as much with any of its angles left out.
+    """
+    misfit, curve = min(
+        ((each.misfit(angle_deg, change, noise), each) for each in priors), key=itemgetter(0)
+    )
+    if misfit < MAX_MISFIT:
+        return
+    distinct, others = np.unique(angle_deg), list[float]()
+    for angle in distinct:
+        rows = angle_deg != angle
+        parts = np.repeat(rows, change.shape[1])
+        others.append(curve.misfit(angle_deg[rows], change[rows], noise[np.ix_(parts, parts)]))
+    worst = int(np.argmin(others))
+    if others[worst] > IMPOSSIBLE_MISFIT:
+        raise DataError(
+            f"the frames do not fit their angles: the misfit is {misfit:.2g}, expected up to "
+            f"{MAX_MISFIT:g}; check that they are in degrees, not radians, and of this sensor"
+        )
+    if len(distinct) > 2 and others[worst] < MAX_SHARE * misfit:
+        raise DataError(
+            f"the frames at {distinct[worst]:g} deg contradict those at all other known angles: "
+            f"the misfit is {misfit:.2g} with and {others[worst]:.2g} without them, expected up to "
+            f"{MAX_MISFIT:g}; check that the sensor was bent by that angle, or leave them out"
+        )
 
 
 def noise_scale(frames: KnownFrames, combinations: Combinations) -> float:

@@ -121,6 +121,11 @@ class BendCurve(StoredFields):
         width = _log_determinant(factor) + len(system) * np.log(2.0 * np.pi)
         return -0.5 * float(residual @ cho_solve(factor, residual) + width)
 
+    def misfit(self, angle_deg: Array, change: Array, noise: Array) -> float:
+        """Mean square of the whitened residuals, about 1 or less; arguments as of `condition`."""
+        _, residual, system = self._regression(angle_deg, change, noise)
+        return float(residual @ cho_solve(cho_factor(system), residual)) / max(len(residual), 1)
+
     def _regression(
         self, angle_deg: Array, change: Array, noise: Array
     ) -> tuple[Array, Array, Array]:

@@ -1,17 +1,19 @@
 """The pipeline that ships with eitskin, on frames of the simulator."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from eitskin.datasets import State
-from eitskin.errors import FrameError
+from eitskin.errors import DataError, FrameError
 from eitskin.geometry import Bend, Clamp, SensorDesign
 from eitskin.simulator import Instrument, Scene, Simulator, Touch
 from eitskin.training import Pipeline
 
 DESIGN = SensorDesign.reference()
+ANGLES = (-20.0, 0.0, 15.0, 30.0, 50.0)
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +72,21 @@ def test_a_bend_beyond_those_learned_is_reported(session, angle_deg, outside):
     for share in (0.3, 0.6, 1.0, 1.0):
         said = session(Scene(Bend(share * angle_deg)))
     assert any("-20 to 50 deg" in problem for problem in said.problems) == outside
+
+
+@pytest.mark.parametrize(
+    ("labels", "message"),
+    [
+        ((-20.0, 0.0, 15.0, 20.0, 50.0), "at 20 deg contradict"),  # instead of 30 degrees
+        ((20.0, 0.0, 15.0, 30.0, 50.0), "at 20 deg contradict"),
+        (np.radians(ANGLES), "radians"),
+        (ANGLES, ""),
+    ],
+)
+def test_known_angles_that_contradict_each_other_are_named(session, labels, message):
+    frames = [session.frame(Scene(Bend(angle))) for angle in ANGLES]
+    with pytest.raises(DataError, match=message) if message else nullcontext():
+        assert session.pipeline.calibrate(frames, labels).residual_deg < 1.0
 
 
 @pytest.mark.slow
