@@ -5,7 +5,8 @@ was learned from the training specimens; hinge, layers and contacts act on it to
 gets a last layer of its own by presses on a twin, by known touches, or by both.
 """
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from operator import itemgetter
 
@@ -16,6 +17,7 @@ from eitskin.errors import DataError
 from eitskin.simulator.instrument.session import DRIFT_TIME
 from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior, mixture_curve
 from eitskin.training.joint.combinations import Combinations, CombinedChange, log_change
+from eitskin.training.joint.frame_predictions import MATCH_RADIUS
 from eitskin.training.joint.objective import whitening_matrix
 from eitskin.training.joint.specimen_model import LOG_ODDS, angle_standard_error, estimate_angle
 from eitskin.training.joint.touch_response import (
@@ -27,6 +29,7 @@ from eitskin.training.joint.touch_response import (
 from eitskin.training.method.interface import Calibration, TwinTrial
 from eitskin.training.method.known_frames import FLAT_DEG, KnownFrames, TwinPresses, held_numbers
 from eitskin.training.method.observations import UNKNOWN_AGE
+from eitskin.training.method.predictions import FoundTouches
 
 Array = NDArray[np.float64]
 Combined = Callable[[Array, float, float], CombinedChange]
@@ -48,6 +51,7 @@ LATENT_LEFT = 0.5  # of what latent variables describe: the twin shows the rest
 RIDGE = 1e-5  # of the largest eigenvalue: combinations of features below are not resolved
 FORCE_ERROR, UNKNOWN_FORCE = 0.05, 1.0  # standard deviation of a force, relative to it
 PLACE_ERROR = 0.0003  # m, of known places
+FORCE_UNITS, MIN_TOUCHES = 50.0, 3  # factor of a force in another unit; single touches to judge by
 FORCE_CHANGE_LIMITS = (-0.5, 1.0)  # of an unknown force in one round, relative
 SHARES = (1.0, 0.25, 0.06, 0.0)  # of the information of known touches, that are tried
 ROUNDS = 3  # of finding latent variables and unknown forces in turn
@@ -259,6 +263,38 @@ def _relative_residual(
         residual += float(np.sum((change - strength * modelled) ** 2))
         size += float(change @ change)
     return float(np.sqrt(residual / size))
+
+
+def require_plausible(
+    touched: KnownFrames, found: Sequence[FoundTouches], force: float | None
+) -> None:
+    """Refuse known touches in other units, or of which most are found elsewhere; DataError.
+
+    Args:
+        touched: frames with known touches.
+        found: touches that the adapted method finds in each.
+        force: usual force [N]; None where forces do not count.
+    """
+    forces = touched.touches[np.isfinite(touched.touches[..., 2]), 2]
+    if force and len(forces) and abs(math.log(np.median(forces) / force)) > math.log(FORCE_UNITS):
+        raise DataError(
+            f"expected forces of touches in newtons, about {force:.2g} N, got {np.median(forces):g}"
+        )
+    single = np.isfinite(touched.touches[..., 0]).sum(axis=1) == 1
+    pairs = [
+        (place, min(estimate.place, key=lambda other: math.dist(place, other)))
+        for known, estimate, one in zip(touched.touches, found, single, strict=True)
+        if one and len(estimate)
+        for place in known[np.isfinite(known[:, 0]), :2]
+    ]
+    away = np.array([math.dist(*pair) for pair in pairs])
+    if len(away) >= MIN_TOUCHES and np.median(away) > MATCH_RADIUS:
+        (x, y), (u, v) = 1e3 * np.array(pairs[int(away.argmax())])
+        raise DataError(
+            f"most of the known touches are found elsewhere, such as that at ({x:.0f}, {y:.0f}) mm "
+            f"at ({u:.0f}, {v:.0f}) mm; check the axes and the corner that positions count from, "
+            "and the order of labels and electrodes"
+        )
 
 
 def response_given(

@@ -18,6 +18,7 @@ from eitskin.training.joint.adaptation import (
     noise_scale,
     own_output,
     own_response,
+    require_plausible,
     response_given,
     twin_trial,
 )
@@ -415,6 +416,8 @@ class JointMethod(Method):
             )
             adapted = replace(adapted, own_output=own.output, own_latent=own.response.latent_output)
             estimated = adapted.predict(touched.observations).touches
+            usual_force = self.touch_prior.force[0] if self.forces else None
+            require_plausible(touched, estimated, usual_force)
             adapted = replace(adapted, own_error_scale=own_error_scale(touched.touches, estimated))
         return adapted, replace(adaptation, error_scale=adapted.own_error_scale, noise_scale=noise)
 

@@ -10,7 +10,7 @@ from eitskin.datasets import State
 from eitskin.errors import DataError, FrameError
 from eitskin.geometry import Bend, Clamp, SensorDesign
 from eitskin.simulator import Instrument, Scene, Simulator, Touch
-from eitskin.training import Pipeline
+from eitskin.training import FrameLabel, Pipeline, TouchLabel
 
 DESIGN = SensorDesign.reference()
 ANGLES = (-20.0, 0.0, 15.0, 30.0, 50.0)
@@ -87,6 +87,20 @@ def test_known_angles_that_contradict_each_other_are_named(session, labels, mess
     frames = [session.frame(Scene(Bend(angle))) for angle in ANGLES]
     with pytest.raises(DataError, match=message) if message else nullcontext():
         assert session.pipeline.calibrate(frames, labels).residual_deg < 1.0
+
+
+@pytest.mark.parametrize(
+    ("flip", "force", "message"),
+    [(False, 8.0, ""), (True, 8.0, "found elsewhere"), (False, 816.0, "newtons")],
+)
+def test_known_touches_of_other_axes_or_units_are_refused(session, flip, force, message):
+    frames, labels = [session.frame(Scene())], [FrameLabel()]
+    for x, y in ((0.030, 0.015), (0.120, 0.045), (0.050, 0.042)):
+        frames += [session.frame(Scene()), session.frame(Scene(touches=(Touch(x, y, 8.0),)))]
+        known = TouchLabel(0.150 - x if flip else x, y, force)
+        labels += [FrameLabel(), FrameLabel(touches=(known,))]
+    with pytest.raises(DataError, match=message) if message else nullcontext():
+        assert session.pipeline.adapt(frames, labels).touches == 3
 
 
 @pytest.mark.slow
