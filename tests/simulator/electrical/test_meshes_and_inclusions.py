@@ -8,7 +8,7 @@ import pytest
 import skfem
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Disc, Inclusion, Polygon, Rectangle, SensorDesign
+from eitskin.geometry import Disc, Electrode, Inclusion, Polygon, Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import ForwardModel, Protocol
@@ -176,6 +176,23 @@ def test_a_disc_in_a_disc_has_the_signal_of_the_closed_form(contrast, part) -> N
         model = ForwardModel(ROUND, COARSE, inclusions=[disc])
         change = PROTOCOL.measure(model.impedance()).real - plain
         assert np.abs(change - expected).max() < 0.01 * np.abs(expected).max()
+
+
+@pytest.mark.slow
+def test_a_small_ball_has_the_signal_of_its_dipole() -> None:
+    """In a bar between electrodes over both ends; of Maxwell's 3 (s - 1) / (s + 2) per volume."""
+    length, width, radius, contrast = 0.04, 0.02, 0.003, 2.0
+    ends = tuple(Electrode(x, width / 2, width, 1e-9) for x in (0.0, length))
+    bar = SensorDesign(Rectangle(length, width), width, ends, encapsulated_thickness=width)
+    ball = Inclusion.ellipsoid((length / 2, width / 2, width / 2), (radius,) * 3, contrast, 3)
+    slabs = np.diff([0.0] + [2.0 * (part.high - length / 4) for part in ball])
+    volume = sum(np.pi * p.outline.radius**2 * h for p, h in zip(ball, slabs, strict=True))
+    assert volume == pytest.approx(4.0 / 3.0 * np.pi * radius**3)
+    model = ForwardModel(bar, ((2, 2), Grading(2e-3, 8e-3, 1.5)), inclusions=ball)
+    resistance = Protocol(((0, 1, 0, 1),), 2).measure(model.impedance()).real
+    change = float(resistance[0]) - length / width**2
+    expected = -3.0 * (contrast - 1.0) / (contrast + 2.0) * volume / width**4
+    assert change == pytest.approx(expected, rel=0.03)
 
 
 def test_no_cell_crosses_the_rim_of_an_inclusion() -> None:
