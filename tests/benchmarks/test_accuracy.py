@@ -1,4 +1,4 @@
-"""`eitskin bench accuracy`: its errors and its files."""
+"""Benchmarks of physics: accuracy, the pressed reference, and the simulated world."""
 
 from functools import partial
 
@@ -10,6 +10,15 @@ from eitskin.benchmarks import accuracy
 from eitskin.benchmarks import forward_models as models
 from eitskin.benchmarks.accuracy import QUICK_SCENES, published_error
 from eitskin.benchmarks.forward_models import Drop, Truth, drops, judge, model_frame
+from eitskin.benchmarks.world import (
+    KINEMATIC,
+    SOLVED_MODEL,
+    TABLE_MODEL,
+    ModelError,
+    cases,
+    figures,
+    sentences,
+)
 from eitskin.geometry import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
 
@@ -54,7 +63,7 @@ def test_errors_fall_along_each_ladder_and_stay_above_the_references_own(data):
         assert check < fast < limit
 
 
-def test_judge_measures_the_errors_that_a_frame_has(truth):
+def test_judge_measures_the_errors_of_a_frame_and_the_drop_is_smooth(truth):
     def frame(drop):
         change = 0.0 if drop is None else truth.signals[truth.drops.index(drop)]
         wrong = np.where(np.arange(28) == 5, 1.02, 1.01)
@@ -63,15 +72,109 @@ def test_judge_measures_the_errors_that_a_frame_has(truth):
     found = judge(frame, truth, least_seconds=0.0)
     assert found["resistance_error"] == pytest.approx(0.02)
     assert found["signal_error"] == pytest.approx(0.1)
-
-
-def test_a_drop_is_30_percent_where_it_is_touched_and_smooth():
     drop = Drop(0.05, 0.02, 0.005, background=2.0)
     points = np.array([[0.05, 0.02, 0.005], [0.058, 0.02, 0.005], [0.15, 0.06, 0.0]])
     assert drop(points) == pytest.approx([1.4, 2.0 * (1 - 0.3 / np.e), 2.0])
 
 
 @pytest.mark.slow
-def test_the_published_error_is_that_of_the_published_contact_impedance():
+def test_published_errors_are_those_of_contact_impedances_and_coarse_presses():
     fine = models.ModelCase("", "", ((4, 1), Grading(2e-6, 6e-3, 2.0)))
     assert published_error(fine) < 3e-5
+    (case,) = (each for each in cases() if each.name == "75_30_2N")
+    stack = ReferenceStack(case, Numerics(order=2, rim=5.0, inside=6.0, far=16.0))
+    stack.solve()
+    assert stack.depths[0] == pytest.approx(1e3 * case.depth[0], rel=0.1)
+
+
+# The world of tables and solutions
+
+
+CASES = {case.name: case for case in cases()}
+
+
+def error(case, value, model=TABLE_MODEL, kind="press"):
+    return ModelError(case, kind, model, value, 0.1, 0.02, None, None)
+
+
+def test_errors_are_the_median_and_worst_of_tables_and_of_what_presses_change():
+    errors = (
+        *(error("a", 0.01), error("b", 0.05), error("c", 1.1, KINEMATIC)),
+        *(error("a", 0.2, SOLVED_MODEL), error("c", 0.02, SOLVED_MODEL)),
+        error("d", 0.003, kind="bend"),
+    )
+    named = dict(figures(errors))
+    assert named["press / default, median [%]"] == 2.0
+    assert named["press / default, cases"] == 3
+    assert named["press / solved, worst [%]"] == 20.0
+    pressed, bent, *_ = sentences(errors)
+    assert "median 2.00 % (target 2 %), worst 5.00 % at b (target 4 %)" in pressed
+    assert "worst 0.30 % at d" in bent
+    flat, bent = CASES["plates_45_30"], CASES["plates_45_30_30deg"]
+    assert (flat.signal == flat.changes).all()
+    # Bent or flat, a press changes about as much; the bend alone changes ten times more.
+    pressed, touched = (np.linalg.norm(case.signal) for case in (flat, bent))
+    assert pressed == pytest.approx(touched, rel=0.2)
+    assert np.linalg.norm(bent.changes) > 5.0 * touched
+
+
+@pytest.mark.slow
+def test_a_quick_run_compares_a_press_and_a_bend(tmp_path):
+    data = printed_json("bench", "world", "--quick", "--out", tmp_path)
+    found = {(row["case"], row["model"]): row["error"] for row in data["rows"]}
+    for case, limit in (("75_30", 0.04), ("independent_bend_20", 0.005)):
+        assert found[case, TABLE_MODEL] < limit
+        assert found[case, KINEMATIC] > 0.5
+    assert (tmp_path / "world" / "world.png").stat().st_size > 10_000
+
+
+# The pressed reference
+
+
+ngsolve = pytest.importorskip("ngsolve", reason="needs the extra `reference` (NGSolve)")
+
+from eitskin.benchmarks.pressed_reference import (  # noqa: E402
+    HeldContact,
+    MixedSolid,
+    Numerics,
+    ReferenceStack,
+    extrude,
+    triangulate_box,
+)
+
+LENGTH, WIDTH, HEIGHT = 4.0, 3.0, 2.0
+AREA = LENGTH * WIDTH
+
+
+def block(fixed, moduli, bulk_ratio=1e4, order=3):
+    """Block of two layers, with its lower face at z = 0."""
+    box = (0.0, LENGTH, 0.0, WIDTH)
+    points, triangles = triangulate_box(box, [], [], 1.0, Numerics(far=2.0))
+
+    def boundary(centre):
+        for axis, end in enumerate((LENGTH, WIDTH, HEIGHT)):
+            if abs(centre[axis]) < 1e-9:
+                return f"low {axis}"
+            if abs(centre[axis] - end) < 1e-9:
+                return f"high {axis}"
+        raise AssertionError(centre)
+
+    heights = (0.0, 0.5 * HEIGHT, HEIGHT)
+    material = lambda c: "lower" if c[2] < 0.5 * HEIGHT else "upper"  # noqa: E731
+    mesh = extrude(points, triangles, heights, material, boundary)
+    return MixedSolid(mesh, moduli, order, fixed, bulk_ratio)
+
+
+def test_compressed_and_sheared_blocks_have_their_laws():
+    walls = {f"{end} {axis}": "xy"[axis] for end in ("low", "high") for axis in (0, 1)}
+    solid = block({**walls, "low 2": "xyz"}, {"lower": 20.0, "upper": 20.0}, bulk_ratio=10.0)
+    J = 0.8
+    P = 20.0 * J ** (-2 / 3) * (J - (2.0 + J**2) / (3.0 * J)) + 200.0 * (J - 1.0)
+    solid.settle([HeldContact("high 2", ngsolve.CF((0, 0, 0)), -P * AREA)])
+    assert solid.steps[0] == pytest.approx((1.0 - J) * HEIGHT, rel=1e-6)
+    walls = {f"{end} {axis}": "yz" for end in ("low", "high") for axis in (0, 1)}
+    solid = block({**walls, "low 2": "xyz"}, {"lower": 20.0, "upper": 50.0}, 1e7)
+    traction = 16.0
+    solid.settle([HeldContact("high 2", ngsolve.CF((0, 0, 0)), traction * AREA, (1.0, 0.0, 0.0))])
+    slide = 0.5 * HEIGHT * (traction / 20.0 + traction / 50.0)
+    assert solid.steps[0] == pytest.approx(slide, rel=1e-6)

@@ -48,7 +48,10 @@ def recipe(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_recipe_by_its_path(recipe, tmp_path, monkeypatch):
+def test_a_recipe_by_its_path_is_made_and_a_dry_run_writes_nothing(recipe, tmp_path, monkeypatch):
+    said = run("generate", recipe, "--out", tmp_path / "set", "--dry-run").stdout
+    assert "24 frames in 3 shards, about" in said
+    assert list(tmp_path.iterdir()) == [recipe]
     in_this_process(monkeypatch)
     backwards = itertools.count(2e9, -3600)  # a clock that is set back by an hour at every look
     monkeypatch.setattr(time, "time", lambda: next(backwards))
@@ -66,13 +69,6 @@ def test_a_recipe_by_its_path(recipe, tmp_path, monkeypatch):
     assert "missing" in ran.stdout.replace("\n", " ")
     made = simulate_shard(parse_toml(Recipe, recipe.read_text()), 2)
     assert (tmp_path / "one" / "shard-000002.h5").read_bytes() == shard_bytes(made, 16)
-
-
-@pytest.mark.slow
-def test_dry_run_writes_nothing(recipe, tmp_path):
-    said = run("generate", recipe, "--out", tmp_path / "set", "--dry-run").stdout
-    assert "24 frames in 3 shards, about" in said
-    assert list(tmp_path.iterdir()) == [recipe]
 
 
 @pytest.mark.slow
@@ -102,7 +98,7 @@ def test_interrupted_it_says_how_to_go_on(recipe, tmp_path):
 # eitskin dataset
 
 
-def test_info_of_a_simulated_set_and_of_one_shard(tmp_path):
+def test_info_verify_and_compact_tell_of_sets_and_shards(tmp_path):
     save_dataset(make(40), tmp_path / "set", frames_per_shard=20)
     found = printed_json("dataset", "info", tmp_path / "set")
     assert (found["frames"], found["shards"], found["channels"]) == (40, 2, 28)
@@ -116,10 +112,8 @@ def test_info_of_a_simulated_set_and_of_one_shard(tmp_path):
     assert "touch: 20, bend: 20" in said
     assert "50 to 50" in said
     assert printed_json("dataset", "info", tmp_path / "set" / "shard-000001.h5")["frames"] == 20
-
-
-def test_verify_lists_all_damage_and_exits_with_three(tmp_path):
     folder = tmp_path / "set"
+    folder = tmp_path / "verified"
     save_dataset(make(40), folder, frames_per_shard=10)
     sound = run("dataset", "verify", folder)
     assert sound.exit_code == 0
@@ -132,10 +126,7 @@ def test_verify_lists_all_damage_and_exits_with_three(tmp_path):
     assert (found["sound"], found["shards"], found["frames"]) == (False, 2, 20)
     assert [each["file"] for each in found["damage"]] == ["shard-000001.h5", "shard-000003.h5"]
     assert "shard-000003.h5" in run("dataset", "verify", folder).stdout
-
-
-def test_compact_writes_the_same_frames_into_few_files(tmp_path):
-    folder = tmp_path / "set"
+    folder = tmp_path / "old"
     save_version_one(make(40), folder, frames_per_shard=10)
     found = printed_json("dataset", "compact", folder, "--out", tmp_path / "new")
     assert (found["frames"], found["shards"], found["format_version"]) == (40, 1, 2)

@@ -33,7 +33,7 @@ def run(monkeypatch):
     return partial(run_command, monkeypatch)
 
 
-def test_json_is_one_object_per_frame(run):
+def test_the_command_shows_frames_as_json_and_lines_and_says_what_is_not_estimated(run):
     result = run(FakePipeline(), *BOARD, "--json", "--frames", "4")
     assert result.exit_code == 0
     lines = [json.loads(line) for line in result.stdout.splitlines()]
@@ -47,9 +47,6 @@ def test_json_is_one_object_per_frame(run):
     assert lines[-1]["bad_channels"] == {}
     assert lines[-1]["problems"] == []
     assert lines[-1]["number"] == lines[-1]["skipped"] + 3
-
-
-def test_the_terminal_shows_state_angle_touches_losses_and_health(run):
     board = "virtual:?speed=max&faults=nan_channel@0:1"
     pipeline = FakePipeline(Estimate(problems=("electrode 3 is open",)))
     result = run(pipeline, "--board", board, "--frames", "3", "--every-frame")
@@ -60,9 +57,6 @@ def test_the_terminal_shows_state_angle_touches_losses_and_health(run):
     assert "3 frames processed" in result.stderr
     quiet = run(FakePipeline(), *BOARD, "--frames", "3", "-q")
     assert (quiet.exit_code, quiet.output) == (0, "")
-
-
-def test_what_a_pipeline_does_not_estimate_is_null_and_said(run):
     unknown = Estimate(None, (np.nan, 0.9, 0.1), None, None, None)
     pipeline, board = FakePipeline(unknown), ("--board", "virtual:?speed=max", "--frames", "1")
     line = json.loads(run(pipeline, *board, "--json").stdout)
@@ -106,7 +100,7 @@ def shown(session):
     return capture.get()
 
 
-def test_what_is_old_is_never_shown_as_new():
+def test_nothing_old_is_shown_as_new_and_a_new_session_is_announced():
     session = session_of(QuietBoard())
     session.take(reading())
     assert "nothing for" not in shown(session)
@@ -118,9 +112,6 @@ def test_what_is_old_is_never_shown_as_new():
     session.connection.board.info = types.SimpleNamespace(period=float("nan"))
     session.clock = lambda: 1e6
     assert "nothing for" not in shown(session)  # of a board whose period is unknown
-
-
-def test_a_new_session_is_announced_and_the_sensor_looked_over_again():
     session = session_of(
         QuietBoard(), pipeline=types.SimpleNamespace(expected_magnitudes=np.full(28, 600.0))
     )

@@ -35,7 +35,8 @@ def frames(flat, session=1, noise=1e-5):
     return [Frame(each, PROTOCOL, session=session) for each in drawn]
 
 
-def test_pictures_begin_after_the_reference_of_each_session(maker, flat):
+def test_pictures_begin_after_the_reference_of_each_session_and_are_calm_untouched(maker, flat):
+    """The ends of the colour scale lie far above the noise of the pictures."""
     pictures = LivePictures(maker)
     for frame in frames(flat):
         assert pictures.picture(frame) is None
@@ -48,10 +49,6 @@ def test_pictures_begin_after_the_reference_of_each_session(maker, flat):
     again = dataclasses.replace(touched, session=2)
     assert pictures.picture(again) is None
     assert pictures.taken == 1
-
-
-def test_untouched_sensors_are_calm_and_the_page_has_signed_levels(maker, flat):
-    """The ends of the colour scale lie far above the noise of the pictures."""
     pictures = LivePictures(maker)
     for frame in frames(flat):
         pictures.picture(frame)
@@ -66,7 +63,7 @@ def test_untouched_sensors_are_calm_and_the_page_has_signed_levels(maker, flat):
     assert sent["limit"] == pytest.approx(shown.limit, abs=1e-8)
 
 
-def test_pipeline_of_pictures_alone(maker, flat):
+def test_pictures_are_alone_beside_estimates_or_refused(maker, flat):
     pipeline = LivePictures(maker)
     estimates = [pipeline.process(frame) for frame in frames(flat)]
     assert estimates[2].state == f"reference 3/{REFERENCE}"
@@ -76,9 +73,6 @@ def test_pipeline_of_pictures_alone(maker, flat):
     assert estimate.touch_map.shape == maker.grid.shape
     assert 0.0 <= estimate.touch_map.min() < estimate.touch_map.max() <= 1.0
     assert (estimate.bend_angle_deg, estimate.touches) == (None, None)
-
-
-def test_other_pipelines_keep_their_estimates(maker, flat):
     fake = FakePipeline()
     pipeline = LivePictures(maker, fake)
     first, *_, last = [
@@ -89,9 +83,6 @@ def test_other_pipelines_keep_their_estimates(maker, flat):
     assert last.picture.values.shape == maker.grid.shape
     bad = Frame(flat, PROTOCOL, session=1, status=np.ones(28))
     assert pipeline.process(bad) is fake.estimate
-
-
-def test_what_cannot_be_live_is_refused(maker):
     varied = Reconstructor(SensorDesign.reference(), method="total-variation")
     with pytest.raises(ConfigurationError, match="takes seconds"):
         LivePictures(varied)

@@ -91,7 +91,9 @@ def running(tmp_path, pipeline):
         yield made
 
 
-def test_the_live_loop_tares_when_enough_frames_have_come(running, pipeline):
+def test_the_loop_tares_with_enough_frames_and_the_check_says_what_the_command_would(
+    running, pipeline
+):
     running.ask("/tare")
     assert running.task["progress"] == "working"
     progress, text = running.finish()
@@ -100,9 +102,6 @@ def test_the_live_loop_tares_when_enough_frames_have_come(running, pipeline):
     pipeline.moves = True
     running.ask("/tare")
     assert running.finish() == ("failed", "expected frames of a still sensor")
-
-
-def test_the_check_says_what_the_command_would(running):
     running.ask("/check")
     assert running.finish() == ("done", "healthy: no fault in 16 frames")
     assert "no redundant measurements" in running.task["lines"][0]

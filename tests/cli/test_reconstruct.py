@@ -54,20 +54,14 @@ def test_frames_of_a_dataset_by_several_methods(dataset, tmp_path):
     assert np.loadtxt(table, delimiter=",", skiprows=1)[:, 2] == pytest.approx(inner[5, 1])
 
 
-def test_board_is_pictured_after_its_reference(dataset):
+def test_boards_are_pictured_after_a_reference_that_is_chosen(dataset):
+    """A recording of fewer frames than the reference has, which ends by itself."""
     words = ("reconstruct", f"replay:{dataset}", *FEW, "--average", "3", "--frames", "2")
     found = printed_json(*words, "--method", "noser", "--lambda", "gcv")
     assert [one["frame"] for one in found["pictures"]] == ["frame 3", "frame 4"]
     assert found["pictures"][0]["lambda"] is None
-
-
-def test_boards_are_pictured_on_the_page(dataset):
-    """A recording of fewer frames than the reference has, which ends by itself."""
     words = ("reconstruct", f"replay:{dataset}", *FEW, "--page", "--page-port", "0")
     assert "page: http://127.0.0.1:" in run(*words).stderr
-
-
-def test_reference_is_chosen(dataset):
     words = ("reconstruct", dataset, *FEW, "--frames", "2", "--reference")
     same = printed_json(*words, "2")["pictures"][0]
     assert same["least"] == same["largest"] == 0.0

@@ -86,7 +86,7 @@ def test_a_board_that_is_typed_keeps_its_capitals_and_a_wrong_number_is_told(tmp
     assert not list(tmp_path.iterdir())
 
 
-def test_places_are_on_the_sensor_far_apart_and_on_its_map():
+def test_places_are_on_the_map_and_frames_in_poses_are_a_dataset_with_a_reference():
     places = np.array(press_places(DESIGN, 10))
     away = np.linalg.norm(places[:, None] - places, axis=2) + np.eye(10)
     assert away.min() > 0.02
@@ -97,9 +97,6 @@ def test_places_are_on_the_sensor_far_apart_and_on_its_map():
         for number in range(1, 11)
     ]
     assert line[int(places[:, 1].argmax())] < line[int(places[:, 1].argmin())]
-
-
-def test_frames_in_poses_are_a_dataset_with_the_latest_untouched_reference():
     protocol, poses = Protocol.pairwise(8), [bent_pose(0.0), bent_pose(20.0), bent_pose(0.0)]
     poses.append(pressed_pose("1", 0.03, 0.02))
     scale = [1.0, 1.2, 1.01, 1.05]

@@ -58,7 +58,7 @@ def test_an_instrument_measures_and_its_noise_may_be_another(tmp_path) -> None:
     assert one["status"] == [0] * 28
 
 
-def test_changes_are_from_the_flat_sensor_on_the_same_meter(scene, tmp_path) -> None:
+def test_changes_are_from_the_flat_sensor_and_relative_where_its_value_is_not_zero(scene, tmp_path):
     """The untouched sensor differs from its flat self by nothing, in the units of any meter."""
     flat = written(tmp_path / "flat.toml", "")
     rig = written(
@@ -68,9 +68,6 @@ def test_changes_are_from_the_flat_sensor_on_the_same_meter(scene, tmp_path) -> 
     board = ("--protocol", "opposite", "--instrument", str(rig))
     assert simulate(flat, *board)["change_ohm"] == pytest.approx([0.0] * 16, abs=1e-9)
     assert 1e-3 < max(map(abs, simulate(scene, *board)["relative_change"])) < 0.2
-
-
-def test_a_value_that_is_zero_by_symmetry_has_no_relative_change(scene, tmp_path) -> None:
     # Electrodes 7 and 3 are the middles of the short sides, 1 and 5 of the long ones.
     Protocol(((1, 5, 3, 7), (1, 5, 1, 5)), 8).to_file(tmp_path / "symmetric.csv")
     found = simulate(scene, "--protocol", str(tmp_path / "symmetric.csv"))

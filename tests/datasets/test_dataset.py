@@ -21,7 +21,13 @@ from version_one import save_version_one
 # Datasets in memory
 
 
-def test_split_by_frames_where_specimens_are_few():
+def test_parts_of_a_split_hold_whole_specimens_whole_touches_or_frames():
+    data = make(100, specimens=10)
+    train, validate, test = (set(data.specimen[part]) for part in data.split((0.6, 0.2, 0.2), 0))
+    assert (len(train), len(validate), len(test)) == (6, 2, 2)
+    assert train | validate | test == set(range(10))
+    with pytest.raises(ConfigurationError, match="sum to one"):
+        data.split((0.5, 0.2))
     parts = make(100, specimens=1).split((0.6, 0.2, 0.2), seed=3)
     assert [len(part) for part in parts] == [60, 20, 20]
     assert np.array_equal(np.sort(np.concatenate(parts)), np.arange(100))
@@ -29,18 +35,6 @@ def test_split_by_frames_where_specimens_are_few():
     other = make(100, specimens=1).split((0.6, 0.2, 0.2), seed=4)
     assert all(np.array_equal(a, b) for a, b in zip(parts, again, strict=True))
     assert not np.array_equal(parts[0], other[0])
-
-
-def test_a_split_is_by_specimens_where_they_are_enough():
-    data = make(100, specimens=10)
-    train, validate, test = (set(data.specimen[part]) for part in data.split((0.6, 0.2, 0.2), 0))
-    assert (len(train), len(validate), len(test)) == (6, 2, 2)
-    assert train | validate | test == set(range(10))
-    with pytest.raises(ConfigurationError, match="sum to one"):
-        data.split((0.5, 0.2))
-
-
-def test_frames_of_one_touch_stay_in_one_part():
     data = make(200, specimens=1)
     touch = np.arange(200) // 10 % 10  # ten held touches, each of twenty frames
     for column in (data.touch_x, data.touch_y):

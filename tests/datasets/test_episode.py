@@ -57,7 +57,7 @@ def linear_in_the_angle(self, scenes, **_options):
 # What is told
 
 
-def test_angles_are_straight_between_keyframes_and_presses_last_while_they_are_told():
+def test_scripts_move_straight_between_keyframes_hold_presses_and_repeat():
     told = script(
         Keyframe(0.0),
         Keyframe(2.0, 10.0, (HERE,)),
@@ -70,9 +70,6 @@ def test_angles_are_straight_between_keyframes_and_presses_last_while_they_are_t
         HeldTouch(plain(HERE), 2.0, 5.0),
         HeldTouch(plain(THERE), 4.0, 5.0),
     }
-
-
-def test_a_repeated_script_goes_on_where_it_ended():
     told = script(Keyframe(0.0), Keyframe(1.0, 30.0, (HERE,)), Keyframe(2.0), repeats=3, period=0.5)
     assert told.frames == 12
     line = told.draw(OUTLINE, RNG)
@@ -167,7 +164,7 @@ def test_frames_of_an_episode_are_labelled_and_follow_each_other():
     assert sample(asked, 40) == drawn[40]
 
 
-def test_skew_is_exact_where_signals_are_linear_in_time(monkeypatch):
+def test_skew_and_drift_are_exact_where_signals_are_linear_in_time(monkeypatch):
     monkeypatch.setattr(Simulator, "measure_all", linear_in_the_angle)
     data = simulate_shard(recipe(script(*SWEEP, period=0.35), instrument=SCANNED), 0)
     assert len(data) == 10
@@ -176,6 +173,18 @@ def test_skew_is_exact_where_signals_are_linear_in_time(monkeypatch):
     assert data.impedance.real == pytest.approx((100.0 + angles) * np.arange(1, 29), rel=1e-6)
     assert data.touch_reference == pytest.approx(data.impedance, rel=1e-6)
     assert data.bend_angle_deg == pytest.approx(-20.0 + 7.0 * np.arange(10))
+    monkeypatch.setattr(Simulator, "measure_all", linear_in_the_angle)
+    drifting = Instrument(snr_db=0.0, drift=0.1)
+    still = script(Keyframe(0.0, 5.0), Keyframe(600.0, 5.0), period=10.0, count=3)
+    asked = recipe(still, instrument=drifting, frames_per_shard=60, specimens=Specimens(1))
+    parts = [simulate_shard(asked, shard) for shard in range(3)]
+    drift = np.concatenate([part.impedance[:, 0].real for part in parts]) / 105.0
+    steps = np.diff(np.log(drift))
+    # A step of the walk in 10 s has the sd 0.1 sqrt(10 / 14400), over the shards' ends as within.
+    size = 0.1 * np.sqrt(10.0 / 14400.0)
+    assert steps.std() == pytest.approx(size, rel=4 / np.sqrt(2 * len(steps)))
+    assert np.abs(steps[[59, 119]]).max() < 3.5 * size
+    assert drift[0] == pytest.approx(1.0, abs=1e-6)
 
 
 @pytest.mark.slow
@@ -196,18 +205,3 @@ def test_skew_of_a_moving_bend_is_near_to_solving_every_moment():
     error = np.abs(data.impedance.real[:-1] / truth - 1.0).max()
     assert error < 2e-4  # as much as the noise; without interpolation 0.85 %
     assert np.abs(unmoved / truth - 1.0).max() > 40 * error
-
-
-def test_drift_runs_on_along_and_across_the_episodes_of_a_specimen(monkeypatch):
-    monkeypatch.setattr(Simulator, "measure_all", linear_in_the_angle)
-    drifting = Instrument(snr_db=0.0, drift=0.1)
-    still = script(Keyframe(0.0, 5.0), Keyframe(600.0, 5.0), period=10.0, count=3)
-    asked = recipe(still, instrument=drifting, frames_per_shard=60, specimens=Specimens(1))
-    parts = [simulate_shard(asked, shard) for shard in range(3)]
-    drift = np.concatenate([part.impedance[:, 0].real for part in parts]) / 105.0
-    steps = np.diff(np.log(drift))
-    # A step of the walk in 10 s has the sd 0.1 sqrt(10 / 14400), over the shards' ends as within.
-    size = 0.1 * np.sqrt(10.0 / 14400.0)
-    assert steps.std() == pytest.approx(size, rel=4 / np.sqrt(2 * len(steps)))
-    assert np.abs(steps[[59, 119]]).max() < 3.5 * size
-    assert drift[0] == pytest.approx(1.0, abs=1e-6)

@@ -316,7 +316,7 @@ def test_every_form_gives_the_same_frames(form, tmp_path):
     assert data.impedance[:, order] == pytest.approx(form.frames, rel=1e-4, abs=1e-4)
 
 
-def test_a_preview_says_the_command_that_reads_the_same(tmp_path):
+def test_previews_print_the_command_that_reads_the_same_and_suggest_labels(tmp_path):
     """And writes nothing; without a protocol it names those that fit."""
     times = np.arange(3) * 0.1
     text(numbered(prefix="ch", extra=("time", times.tolist())))(tmp_path / "a.csv")
@@ -335,10 +335,7 @@ def test_a_preview_says_the_command_that_reads_the_same(tmp_path):
     said = command_line.printed_json(*words, "--values", "ch")
     assert "adjacent:8" in said["protocol"]
     assert said["protocol"].startswith("unknown")
-
-
-def test_a_preview_suggests_labels_by_usual_names_and_units(tmp_path):
-    """The command that it prints imports them; other words for the states are read, too."""
+    # The command that it prints imports them; other words for the states are read, too.
     columns = ("Timestamp (ms)", [0, 100, 200]), ("Label", ["none", "pressed", "bent"])
     places = (("PosX [mm]", ["", 20, ""]), ("pos_y [mm]", ["", 30, ""]))
     rows = numbered(prefix="ch")
@@ -348,8 +345,8 @@ def test_a_preview_suggests_labels_by_usual_names_and_units(tmp_path):
     text(rows)(tmp_path / "a.csv")
     said = command_line.printed_json("import", str(tmp_path / "a.csv"), "--preview")
     again = shlex.split(said["command"])
-    command_line.run(*again[1:-1], str(tmp_path / "out"))
-    data = open_dataset(tmp_path / "out")
+    command_line.run(*again[1:-1], str(tmp_path / "labelled"))
+    data = open_dataset(tmp_path / "labelled")
     assert data.time == pytest.approx([0, 0.1, 0.2])
     assert data.state.tolist() == [State.IDLE, State.TOUCH, State.BEND]
     assert (data.touch_x[1, 0], data.touch_y[1, 0]) == pytest.approx((0.02, 0.03))

@@ -65,7 +65,7 @@ def frames(out):
 
 
 @pytest.mark.slow
-def test_the_files_are_as_the_layout_says(out, info, episodes, frames):
+def test_files_are_as_the_layout_says_with_statistics_of_all_frames(out, info, episodes, frames):
     assert info["total_frames"] == len(frames) == EPISODES * LENGTH
     assert info["total_episodes"] == len(episodes) == EPISODES
     assert frames["index"].tolist() == list(range(len(frames)))
@@ -87,6 +87,13 @@ def test_the_files_are_as_the_layout_says(out, info, episodes, frames):
         )
         held = pd.read_parquet(out / path, columns=["episode_index"])["episode_index"]
         assert (held == each["episode_index"]).sum() == each["length"]
+    told = json.loads((out / "meta" / "stats.json").read_text())
+    for name, each in told.items():
+        values = np.stack(frames[name]).reshape(len(frames), -1).astype(float)
+        np.testing.assert_allclose(each["mean"], values.mean(axis=0), rtol=1e-12, atol=1e-9)
+        np.testing.assert_allclose(each["std"], values.std(axis=0), rtol=1e-9, atol=1e-9)
+        assert each["max"] == values.max(axis=0).tolist()
+    assert set(told) == {name for name in frames.columns if not name.startswith("label.")}
 
 
 @pytest.mark.slow
@@ -109,16 +116,6 @@ def test_each_frame_is_the_datasets_own(saved, episodes, frames):
         names = ("x", "y", "force", "radius", "depth")
         for place, name in enumerate(names):
             np.testing.assert_array_equal(touches[..., place], getattr(true, f"touch_{name}"))
-
-
-def test_statistics_are_those_of_all_exported_frames(out, frames):
-    told = json.loads((out / "meta" / "stats.json").read_text())
-    for name, each in told.items():
-        values = np.stack(frames[name]).reshape(len(frames), -1).astype(float)
-        np.testing.assert_allclose(each["mean"], values.mean(axis=0), rtol=1e-12, atol=1e-9)
-        np.testing.assert_allclose(each["std"], values.std(axis=0), rtol=1e-9, atol=1e-9)
-        assert each["max"] == values.max(axis=0).tolist()
-    assert set(told) == {name for name in frames.columns if not name.startswith("label.")}
 
 
 def test_frames_without_episodes_or_times_are_refused(tmp_path):

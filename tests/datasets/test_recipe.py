@@ -160,7 +160,9 @@ ROLLED = SceneGroup(
 ON_AN_ARC = dataclasses.replace(MIXED, scenes=(ROLLED,), fixture=FreeArc(0.1))
 
 
-def test_a_group_may_be_rolled_and_pressed_by_another_indenter(tmp_path):
+def test_a_group_may_be_pressed_by_an_indenter_whose_tables_are_solved_before(
+    tmp_path, monkeypatch
+):
     assert Recipe.from_toml(write(tmp_path, ON_AN_ARC.to_toml())) == ON_AN_ARC
     drawn = [sample(ON_AN_ARC, index).scene for index in range(12)]
     rolls = [scene.roll.angle_deg for scene in drawn]
@@ -172,9 +174,6 @@ def test_a_group_may_be_rolled_and_pressed_by_another_indenter(tmp_path):
     for index, scene in enumerate(drawn):  # all else is drawn as it is without them
         other = sample(dataclasses.replace(ON_AN_ARC, scenes=(plain,)), index).scene
         assert (scene.bend, scene.touches[0].force) == (other.bend, other.touches[0].force)
-
-
-def test_tables_of_every_indenter_are_solved_before_the_work(tmp_path, monkeypatch):
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
     balls = dataclasses.replace(ON_AN_ARC, scenes=(TOUCHED, ROLLED))
     smaller = dataclasses.replace(ROLLED, indenter=Sphere(5e-3))
@@ -306,7 +305,7 @@ def all_samples(recipe):
     return [sample(recipe, index) for index in range(recipe.frames)]
 
 
-def test_frames_hold_what_their_group_says():
+def test_frames_hold_what_their_group_says_by_seed_and_number_alone():
     outline = MIXED.sensor.outline
     for drawn in (sample(MIXED, index) for index in range(MIXED.frames)):
         touches = drawn.scene.touches
@@ -328,9 +327,6 @@ def test_frames_hold_what_their_group_says():
     assert counts == {0, 1, 2, 3, 4}
     assert min(angles) < -10.0
     assert max(angles) > 40.0
-
-
-def test_a_frame_depends_on_seed_and_number_alone():
     backwards = [sample(MIXED, index) for index in reversed(range(20))][::-1]
     assert backwards == [sample(MIXED, index) for index in range(20)]
     assert [s.scene for s in backwards] != [sample(with_seed(MIXED, 6), i).scene for i in range(20)]

@@ -139,7 +139,7 @@ def test_readings_before_a_press_are_kept_as_idle_frames(tmp_path, monkeypatch):
 # Labels and units
 
 
-def test_labels_have_places_units_and_several_touches(tmp_path):
+def test_labels_have_places_units_several_touches_and_origins(tmp_path):
     np.savez(
         tmp_path / "a.npz",
         v=PRESSED,
@@ -160,6 +160,17 @@ def test_labels_have_places_units_and_several_touches(tmp_path):
     assert np.allclose(data.touch_force[:, 0], 0.981)
     assert np.isfinite(data.touch_radius).sum() == 6
     assert data.specimen_number.tolist() == [7, 9]
+    form = RecordingForm(origin="centre")
+    data = on_the_reference(tmp_path, [-0.07, 0.07], [-0.02, 0.02], form)
+    assert np.allclose(data.touch_x[:, 0], [0.005, 0.145])
+    assert np.allclose(data.touch_y[:, 0], [0.010, 0.050])
+    for shape, hint in (
+        ((2, 40), "40 channels.*such as adjacent:8"),
+        ((8, 8), "0 on the diagonal"),
+    ):
+        np.savez(tmp_path / "a.npz", v=np.ones(shape))
+        with pytest.raises(DataError, match=f"28 measurements.*{hint}"):
+            read_recording(tmp_path / "a.npz", RecordingNames("v"), Protocol.pairwise(8))
 
 
 @pytest.mark.slow
@@ -183,20 +194,6 @@ def on_the_reference(tmp_path, x, y, form=None):
     np.savez(tmp_path / "a.npz", v=np.ones((len(x), 28)), x=x, y=y)
     names, design = RecordingNames("v"), SensorDesign.reference()
     return read_recording(tmp_path / "a.npz", names, Protocol.pairwise(8), 40e3, design, form)
-
-
-def test_positions_count_from_the_centre(tmp_path):
-    form = RecordingForm(origin="centre")
-    data = on_the_reference(tmp_path, [-0.07, 0.07], [-0.02, 0.02], form)
-    assert np.allclose(data.touch_x[:, 0], [0.005, 0.145])
-    assert np.allclose(data.touch_y[:, 0], [0.010, 0.050])
-    for shape, hint in (
-        ((2, 40), "40 channels.*such as adjacent:8"),
-        ((8, 8), "0 on the diagonal"),
-    ):
-        np.savez(tmp_path / "a.npz", v=np.ones(shape))
-        with pytest.raises(DataError, match=f"28 measurements.*{hint}"):
-            read_recording(tmp_path / "a.npz", RecordingNames("v"), Protocol.pairwise(8))
 
 
 @pytest.mark.parametrize(
@@ -271,7 +268,13 @@ def test_files_that_do_not_fit_their_names_are_refused(tmp_path, lines, names, e
         read_recording(tmp_path / "a.csv", RecordingNames(**names))
 
 
-def test_frequencies_and_factors_are_numbers_that_can_be(tmp_path):
+def test_columns_of_text_are_names_and_factors_and_frequencies_possible_numbers(tmp_path):
+    """A line that is no row, and a number of 5,000 digits: neither is a fault of the reader."""
+    (tmp_path / "a.csv").write_text(f"v{'9' * 5000},w\n1,2\n")
+    assert read_recording(tmp_path / "a.csv", RecordingNames("w")).impedance.shape == (1, 1)
+    (tmp_path / "b.csv").write_text('""\n')
+    with pytest.raises(DataError, match="got no row"):
+        open_reader(tmp_path / "b.csv")
     (tmp_path / "a.csv").write_text("v0,v1,x\n1,2,3\n")
     for frequency in (0.0, -1.0, float("nan"), float("inf"), 1e300):
         with pytest.raises(ConfigurationError, match="frequency must be"):
@@ -279,15 +282,6 @@ def test_frequencies_and_factors_are_numbers_that_can_be(tmp_path):
     for factor in ("0", "-0.0", "1e-400", "1e400"):
         with pytest.raises(ConfigurationError, match="place of a label"):
             Place.from_text(f"x*{factor}")
-
-
-def test_columns_of_text_are_never_more_than_names(tmp_path):
-    """A line that is no row, and a number of 5,000 digits: neither is a fault of the reader."""
-    (tmp_path / "a.csv").write_text(f"v{'9' * 5000},w\n1,2\n")
-    assert read_recording(tmp_path / "a.csv", RecordingNames("w")).impedance.shape == (1, 1)
-    (tmp_path / "b.csv").write_text('""\n')
-    with pytest.raises(DataError, match="got no row"):
-        open_reader(tmp_path / "b.csv")
 
 
 # Tables in the forms that loggers and boards write them
@@ -298,13 +292,7 @@ LINES = "-1.5,2.25,3,4\n5,6.5,7,8\n"
 NAMED = "v0,v1,v2,v3\n"
 
 
-def test_driven_readings_are_not_taken_for_labels(tmp_path):
-    (tmp_path / "a.csv").write_text((",".join(["1.5"] * 256) + "\n") * 2)
-    with pytest.raises(DataError, match=r"adjacent:16\+driven"):
-        read_recording(tmp_path / "a.csv", protocol=Protocol.adjacent(16))
-
-
-def test_a_row_of_names_is_given_and_refusals_quote_and_help(tmp_path):
+def test_rows_of_names_are_given_and_driven_readings_are_no_labels(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("w0,w1,w2,w3\nof,two,volt,meters\n" + NAMED + LINES)
     assert np.array_equal(read_recording(path, RecordingNames(header_row=3)).impedance, CELLS)
@@ -316,6 +304,9 @@ def test_a_row_of_names_is_given_and_refusals_quote_and_help(tmp_path):
     path.write_text(NAMED + "1,2,3\n")
     with pytest.raises(DataError, match="'1,2,3'"):
         read_recording(path)
+    (tmp_path / "a.csv").write_text((",".join(["1.5"] * 256) + "\n") * 2)
+    with pytest.raises(DataError, match=r"adjacent:16\+driven"):
+        read_recording(tmp_path / "a.csv", protocol=Protocol.adjacent(16))
 
 
 # Complex values in columns of two parts

@@ -120,19 +120,7 @@ def test_bytes_do_not_depend_on_the_workers(tmp_path, data, monkeypatch):
     assert (one.shards, one.frames) == (3, 35)
 
 
-def test_damage_and_occupied_folders_are_refused_and_nothing_counts_as_complete(tmp_path, data):
-    save_dataset(data, tmp_path / "set", frames_per_shard=12)
-    with pytest.raises(ConfigurationError, match="not empty"):
-        compact(tmp_path / "set", tmp_path / "set")
-    with pytest.raises(ConfigurationError, match="frames_per_shard"):
-        compact(tmp_path / "set", tmp_path / "new", 0)
-    (tmp_path / "set" / "shard-000002.h5").write_bytes(b"rubbish")
-    with pytest.raises(DataError, match=r"shard-000002\.h5.*SHA-256"):
-        compact(tmp_path / "set", tmp_path / "new", 12)
-    assert [path.name for path in tmp_path.iterdir()] == ["set"]
-
-
-def test_an_interrupt_leaves_nothing(tmp_path, data):
+def test_an_interrupt_damage_or_an_occupied_folder_leaves_nothing(tmp_path, data):
     save_dataset(data, tmp_path / "set", frames_per_shard=12)
 
     def interrupt(done, _total):
@@ -141,6 +129,14 @@ def test_an_interrupt_leaves_nothing(tmp_path, data):
 
     with pytest.raises(KeyboardInterrupt):
         compact(tmp_path / "set", tmp_path / "new", 12, interrupt)
+    assert [path.name for path in tmp_path.iterdir()] == ["set"]
+    with pytest.raises(ConfigurationError, match="not empty"):
+        compact(tmp_path / "set", tmp_path / "set")
+    with pytest.raises(ConfigurationError, match="frames_per_shard"):
+        compact(tmp_path / "set", tmp_path / "new", 0)
+    (tmp_path / "set" / "shard-000002.h5").write_bytes(b"rubbish")
+    with pytest.raises(DataError, match=r"shard-000002\.h5.*SHA-256"):
+        compact(tmp_path / "set", tmp_path / "new", 12)
     assert [path.name for path in tmp_path.iterdir()] == ["set"]
 
 
@@ -165,7 +161,7 @@ def named(tmp_path):
     return out
 
 
-def test_names_of_an_import_stay_with_the_dataset(named, tmp_path):
+def test_names_of_an_import_stay_with_copies_and_combinations(named, tmp_path):
     data = open_dataset(named)
     compact(named, tmp_path / "compact")
     assert open_dataset(tmp_path / "compact").names == data.names == Names(SPECIMENS, SESSIONS)
@@ -175,9 +171,6 @@ def test_names_of_an_import_stay_with_the_dataset(named, tmp_path):
     assert data.specimen_names == tuple(SPECIMENS.values())
     assert data.select([1, 3]).specimen_names == ("gel A left", "gel A right")
     assert specimens_in_words(data.select([3])) == "1 specimen (gel A right)"
-
-
-def test_combined_sets_keep_them_with_their_new_numbers(named, tmp_path):
     data = dataclasses.replace(open_dataset(named), names=Names(), impedance=np.ones((4, 3)))
     save_dataset(data, tmp_path / "yours")
     combine([tmp_path / "yours", named], tmp_path / "both")

@@ -1,5 +1,6 @@
-"""Shards: round trips, equal bytes, damage, hostile files, full disks."""
+"""Shards: round trips, equal bytes, damage that is found, hostile files, full disks."""
 
+import hashlib
 import json
 import os
 import re
@@ -19,7 +20,7 @@ from eitskin.datasets import (
 )
 from eitskin.datasets.store import shard_reader
 from eitskin.datasets.store.schema import FIELDS, FORMAT_VERSION
-from eitskin.datasets.store.shard import append_checksum, verify_checksum
+from eitskin.datasets.store.shard import append_checksum, shard_bytes, verify_checksum
 from eitskin.errors import DataError
 
 from small_dataset import assert_same, make
@@ -65,7 +66,7 @@ def test_a_shard_holds_only_its_own_specimens_and_one_of_version_one_all(tmp_pat
     assert read_shard(tmp_path / "one.h5").specimen_number.tolist() == [3]
 
 
-def test_file_describes_itself(shard):
+def test_a_shard_describes_itself_and_loses_its_seal_by_changes_of_others(shard):
     with h5py.File(shard) as file:
         assert file.attrs["format"] == "eitskin-dataset"
         assert file.attrs["format_version"] == FORMAT_VERSION
@@ -85,6 +86,17 @@ def test_file_describes_itself(shard):
             assert all(dimension.label for dimension in stored.dims)
         assert file["impedance"].dims[0][0] == file["time"]
         assert set(file) == {f.path.split("/")[0] for f in FIELDS} | {"protocol"}
+    whole = shard.read_bytes()
+    image, was_sealed = verify_checksum(whole)
+    assert was_sealed
+    assert whole == append_checksum(image)
+    shard.write_bytes(image)
+    assert_same(read_shard(shard), make())
+    shard.write_bytes(whole)
+    with h5py.File(shard, "r+") as file:
+        file["touch/force"][0, 0] = 3.0
+    assert not verify_checksum(shard.read_bytes())[1]
+    assert read_shard(shard).touch_force[0, 0] == 3.0
 
 
 # Damage and hostility
@@ -255,20 +267,6 @@ def test_damage_anywhere_in_a_lone_shard_is_noticed_before_hdf5_sees_it(shard, m
             read_shard(shard)
 
 
-def test_shards_without_a_seal_open_and_changes_by_other_programs_take_it_off(shard):
-    whole = shard.read_bytes()
-    image, was_sealed = verify_checksum(whole)
-    assert was_sealed
-    assert whole == append_checksum(image)
-    shard.write_bytes(image)
-    assert_same(read_shard(shard), make())
-    shard.write_bytes(whole)
-    with h5py.File(shard, "r+") as file:
-        file["touch/force"][0, 0] = 3.0
-    assert not verify_checksum(shard.read_bytes())[1]
-    assert read_shard(shard).touch_force[0, 0] == 3.0
-
-
 def looping(image):
     """Shard with zeros among its texts, of which HDF5 takes one of no length after the other."""
     start = image.index(b"GCOL") + 1024
@@ -332,3 +330,77 @@ def test_manifests_that_do_not_fit_are_refused(tmp_path, change, message):
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     with pytest.raises(DataError, match=message):
         open_dataset(tmp_path / "set")
+
+
+# Looking through datasets for damage
+
+
+@pytest.fixture
+def folder(tmp_path):
+    save_dataset(make(50), tmp_path / "set", frames_per_shard=10)
+    return tmp_path / "set"
+
+
+def problems(folder):
+    return {each.file: each.problem for each in verify(folder).damage}
+
+
+def test_a_sound_set_is_sound_and_all_damage_is_listed(folder, tmp_path):
+    seen = []
+    verdict = verify(folder, lambda *counts: seen.append(counts))
+    assert (verdict.shards, verdict.frames, verdict.damage) == (5, 50, ())
+    assert seen == [(number, 5) for number in range(6)]
+    save_dataset(Dataset.from_arrays(np.ones((3, 5))), tmp_path / "measured")
+    assert verify(tmp_path / "measured").damage == ()
+    flipped = folder / "shard-000001.h5"
+    content = bytearray(flipped.read_bytes())
+    content[5000] ^= 1
+    flipped.write_bytes(content)
+    (folder / "shard-000002.h5").unlink()
+    cut = folder / "shard-000003.h5"
+    cut.write_bytes(cut.read_bytes()[:3000])
+    (folder / "shard-000007.h5").write_bytes(shard_bytes(make(3)))
+    (folder / "recipe.toml").write_text("another")
+    (folder / "notes.txt").write_text("mine")
+    verdict = verify(folder)
+    assert (verdict.shards, verdict.frames) == (2, 20)
+    found = problems(folder)
+    assert set(found) == {
+        "recipe.toml",
+        *(f"shard-00000{number}.h5" for number in (1, 2, 3, 7)),
+    }
+    assert "expected SHA-256" in found["shard-000001.h5"]
+    assert "No such file" in found["shard-000002.h5"]
+    assert "expected SHA-256" in found["shard-000003.h5"]
+    assert "manifest.json" in found["shard-000007.h5"]
+    assert "expected SHA-256" in found["recipe.toml"]
+    (folder / "manifest.json").unlink()
+    verdict = verify(folder)  # the shards all the same
+    assert (verdict.shards, verdict.frames) == (2, 20)
+    assert set(problems(folder)) == set(found) - {"shard-000002.h5", "recipe.toml"} | {
+        "manifest.json"
+    }
+    assert "eitskin generate" in problems(folder / "absent")["manifest.json"]
+
+
+def rewritten(folder, number, **changes):
+    """A shard of other content, to which the manifest has been made to agree."""
+    path = folder / f"shard-00000{number}.h5"
+    write_shard(path, make(**({"n": 10} | changes)), 10 * number)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["shards"][number]["sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"n": 9}, "must hold 10 frames, got 9"),
+        ({"seed": 8}, "recipe or seed"),
+        ({"recipe": "other"}, "recipe or seed"),
+        ({"frequency": 1e3}, "not made together"),
+    ],
+)
+def test_shards_of_another_set_do_not_belong(folder, changes, message):
+    rewritten(folder, 2, **changes)
+    assert message in problems(folder)["shard-000002.h5"]

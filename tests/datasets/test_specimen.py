@@ -150,7 +150,7 @@ def missing_presses(asked):
 
 
 @pytest.mark.slow
-def test_specimens_share_what_is_solved(monkeypatch, tmp_path):
+def test_many_specimens_share_what_is_solved_and_few_decide_what_is_needed(monkeypatch, tmp_path):
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
     monkeypatch.setattr(solution_store, "LIBRARY", tmp_path / "none")
     # Dents, their corrections on a strip and at its end, pairs, and what sides add to those.
@@ -164,6 +164,20 @@ def test_specimens_share_what_is_solved(monkeypatch, tmp_path):
     assert len(missing_presses(recipe(both))) <= 3 * 7 + 6 + 3
     untouched = Recipe("flat", scenes=(SceneGroup("idle", count=1),), specimens=SPREAD)
     assert missing_presses(untouched) == set()
+    few = dataclasses.replace(MANY, specimens=dataclasses.replace(MANY.specimens, count=2))
+    assert deciding_specimens(few) == (0, 1)
+    chosen = deciding_specimens(MANY)
+    assert len(chosen) <= 48
+    made = [specimen(MANY, number) for number in range(400)]
+    thickness = np.array([each.design.thickness for each in made])
+    gel = np.array([each.mechanics.gel.shear_modulus for each in made])
+    around = np.array([each.mechanics.encapsulation.shear_modulus for each in made])
+    # Depths over the thickness follow from force over modulus times thickness squared.
+    forces = gel * thickness**2, around * thickness**2, gel * around * thickness**4
+    for values in (thickness, around / gel, *forces):
+        assert {int(np.argmin(values)), int(np.argmax(values))} <= set(chosen)
+    wider = dataclasses.replace(MANY, specimens=dataclasses.replace(MANY.specimens, count=1000))
+    assert len(deciding_specimens(wider)) <= 48
 
 
 def law(stack, _indenter) -> PressTable:
@@ -235,24 +249,6 @@ MANY = Recipe(
     specimens=Specimens(count=400, conductivity=0.05, thickness=0.03, gel_modulus=0.05),
     scenes=(SceneGroup("bend", count=1200, angle_deg=(-20.0, 30.0)),),
 )
-
-
-@pytest.mark.slow
-def test_few_specimens_decide_for_many_which_tables_are_needed():
-    few = dataclasses.replace(MANY, specimens=dataclasses.replace(MANY.specimens, count=2))
-    assert deciding_specimens(few) == (0, 1)
-    chosen = deciding_specimens(MANY)
-    assert len(chosen) <= 48
-    made = [specimen(MANY, number) for number in range(400)]
-    thickness = np.array([each.design.thickness for each in made])
-    gel = np.array([each.mechanics.gel.shear_modulus for each in made])
-    around = np.array([each.mechanics.encapsulation.shear_modulus for each in made])
-    # Depths over the thickness follow from force over modulus times thickness squared.
-    forces = gel * thickness**2, around * thickness**2, gel * around * thickness**4
-    for values in (thickness, around / gel, *forces):
-        assert {int(np.argmin(values)), int(np.argmax(values))} <= set(chosen)
-    wider = dataclasses.replace(MANY, specimens=dataclasses.replace(MANY.specimens, count=1000))
-    assert len(deciding_specimens(wider)) <= 48
 
 
 # Mounts: clamps that fill their ranges evenly, shared by specimens, and never impossible

@@ -81,7 +81,7 @@ def test_gels_keep_their_volume(name) -> None:
     assert J == pytest.approx(1.0, abs=1e-2 if "dents" in name else 1e-12)
 
 
-def test_both_faces_of_a_free_arc_are_free():
+def test_bent_sheets_obey_the_hinge_with_free_faces_and_sharp_clamps_as_limit():
     """From one to the other the radial stress changes by int (lambda - lambda^-3) d lambda."""
     arc = FreeArc(0.060).flexure(DESIGN, Bend(90.0))
     half = 0.5 * DESIGN.encapsulated_thickness * np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
@@ -90,10 +90,7 @@ def test_both_faces_of_a_free_arc_are_free():
     mid = np.linalg.norm(arc.gradient(np.array(arc.centre))[:, 0])
     assert mid**4 == pytest.approx(1.0 + (math.radians(90.0) / 0.060 * 0.012) ** 2, rel=1e-9)
     assert top**2 + top**-2 == pytest.approx(bottom**2 + bottom**-2, rel=1e-12)
-
-
-def test_sharp_clamps_are_the_limit_of_soft_ones_and_obey_the_hinge() -> None:
-    """lambda_0 = (theta/2) cot(theta/2) + d theta / s."""
+    # lambda_0 = (theta/2) cot(theta/2) + d theta / s.
     theta = math.radians(50.0)
     expected = theta / 2 / math.tan(theta / 2) + 0.008 * theta / 0.040
     assert SHARP.flexure(DESIGN, Bend(50.0)).stretch == pytest.approx(expected, rel=1e-9)
@@ -102,21 +99,7 @@ def test_sharp_clamps_are_the_limit_of_soft_ones_and_obey_the_hinge() -> None:
     hinges = (Hinge(give=0.0, transition=t, contraction=0.0) for t in (2e-3, 1e-3))
     soft = [hinge.flexure(DESIGN, Bend(50.0)).positions(x) for hinge in hinges]
     assert 2e-6 < np.abs(soft[1] - sharp).max() < 0.6 * np.abs(soft[0] - sharp).max()
-
-
-def test_soft_clamps_leave_no_jump_in_the_gradient_and_sharp_ones_none_at_mid_layer() -> None:
-    clamp, nudge = np.array([[0.095, 0.03, 0.0025]]), np.array([[1e-10, 0, 0]])
-    bend = HINGE.flexure(DESIGN, Bend(50.0))
-    assert bend.positions(clamp - nudge) == pytest.approx(bend.positions(clamp + nudge), abs=1e-9)
-    flexure = Hinge(give=0.0, transition=0.004, contraction=0.3).flexure(DESIGN, Bend(40.0))
-    for clamp in (0.055, 0.095, 0.059, 0.091, 0.075):
-        sides = np.array([[clamp - 1e-9, 0.05, 0.004], [clamp + 1e-9, 0.05, 0.004]])
-        before, after = flexure.gradient(sides)
-        assert before == pytest.approx(after, abs=1e-5)
-
-
-def test_mid_layer_arc_closes_the_hinge_triangle() -> None:
-    """Arc length over the span is lambda_0 s, whatever the angle."""
+    # Arc length over the span is lambda_0 s, whatever the angle.
     for angle in (-20.0, 30.0, 90.0):
         bend = SHARP.flexure(DESIGN, Bend(angle))
         x = np.linspace(0.055, 0.095, 4001)
@@ -125,7 +108,15 @@ def test_mid_layer_arc_closes_the_hinge_triangle() -> None:
         assert length == pytest.approx(bend.stretch * 0.040, rel=1e-6)
 
 
-def test_pull_back_and_area_ratio_agree_with_their_definitions() -> None:
+def test_soft_clamps_have_no_jump_and_pull_backs_and_area_ratios_agree():
+    clamp, nudge = np.array([[0.095, 0.03, 0.0025]]), np.array([[1e-10, 0, 0]])
+    bend = HINGE.flexure(DESIGN, Bend(50.0))
+    assert bend.positions(clamp - nudge) == pytest.approx(bend.positions(clamp + nudge), abs=1e-9)
+    flexure = Hinge(give=0.0, transition=0.004, contraction=0.3).flexure(DESIGN, Bend(40.0))
+    for clamp in (0.055, 0.095, 0.059, 0.091, 0.075):
+        sides = np.array([[clamp - 1e-9, 0.05, 0.004], [clamp + 1e-9, 0.05, 0.004]])
+        before, after = flexure.gradient(sides)
+        assert before == pytest.approx(after, abs=1e-5)
     rng = np.random.default_rng(5)
     F = np.eye(3) + 0.3 * rng.standard_normal((50, 3, 3))
     F = F[np.linalg.det(F) > 0.1]
@@ -164,7 +155,7 @@ def specimen() -> SensorDesign:
     )
 
 
-def test_electrodes_and_sides_come_to_lie_on_those_of_the_specimen() -> None:
+def test_electrodes_of_a_specimen_are_mapped_and_only_where_the_rest_agrees():
     shift = electrode_shift(DESIGN, specimen())
     for one, other in zip(DESIGN.electrodes, specimen().electrodes, strict=True):
         along = np.array([1.0, 0.0, 0.0] if one.y in (0.0, 0.06) else [0.0, 1.0, 0.0])
@@ -179,9 +170,6 @@ def test_electrodes_and_sides_come_to_lie_on_those_of_the_specimen() -> None:
         edge[:, axis] = end
         assert shift.positions(edge)[:, axis] == pytest.approx(end, abs=1e-15)
     assert shift.map_points(x)[0] is shift.map_points(x)[0]  # all scenes share the points
-
-
-def test_only_sensors_that_differ_by_side_electrodes_and_thickness_are_mapped() -> None:
     first, *others = DESIGN.electrodes
     for change in (
         {"outline": (larger := Rectangle(0.16, 0.06)), "electrodes": uniform(larger, 8)},

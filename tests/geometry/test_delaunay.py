@@ -1,10 +1,16 @@
-"""Plane triangulations: they fill any outline, keep their angles and follow the size wanted."""
+"""Triangles and tetrahedra: what they fill, their angles and their quality."""
 
 import numpy as np
 import pytest
 
 from eitskin.geometry import Disc, Polygon, Rectangle
 from eitskin.geometry.meshing.delaunay import triangulate
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.geometry.meshing.mesh import volumes
+from eitskin.geometry.meshing.tetrahedra import TriangleSurface, _sizing, snap_boundary
+
+from cut_blocks import block
+from on_demand import OnDemand
 
 SLAB = Rectangle(0.15, 0.06)
 BENT = Polygon(((0, 0), (0.1, 0), (0.1, 0.03), (0.03, 0.03), (0.03, 0.1), (0, 0.1)))
@@ -72,26 +78,7 @@ def test_angles_stay_large_where_corners_are(outline):
     assert angles(points, triangles).min() > 28
 
 
-def test_a_splinter_keeps_its_sharp_corner_and_good_angles_elsewhere():
-    points, triangles, _ = sized(SPLINTER, [0.052, 0.057], 1e-3)
-    smallest = angles(points, triangles).min(axis=1)
-    assert smallest.min() > 0.95 * np.degrees(np.arctan(0.1))
-    beyond = points[triangles][:, :, 0].min(axis=1) > 0.02
-    assert smallest[beyond].min() > 28
-
-
-def test_rims_of_discs_are_on_the_circle_with_points_at_the_ends_wanted():
-    disc = Disc(0.05)
-    ends = np.array([-1e-17, 0.0123, 0.0123001, 0.05, disc.perimeter - 1e-6])
-    points, triangles, _ = sized(disc, ends, 1e-3)
-    apart = np.linalg.norm(points[:, None] - disc.rim_points(ends), axis=2)
-    assert apart.min(axis=0).max() < 1e-12
-    distance = np.linalg.norm(points - disc.radius, axis=1)
-    assert np.abs(distance[rim_of(triangles)] - disc.radius).max() < 1e-15
-    assert angles(points, triangles).min() > 20
-
-
-def test_local_refinement_is_cheap_ordered_and_the_same_each_time():
+def test_refinement_is_cheap_discs_end_on_circles_and_splinters_keep_corners():
     counts = [len(sized(SLAB, [0.052, 0.057], finest)[0]) for finest in (1e-3, 1e-4, 1e-5)]
     # Each tenth of the finest size adds a few rings of triangles.
     assert 50 < np.diff(counts).min() <= np.diff(counts).max() < 500
@@ -100,3 +87,97 @@ def test_local_refinement_is_cheap_ordered_and_the_same_each_time():
     again, same, _ = sized(BENT, [0.052, 0.057], 1e-4)
     assert np.array_equal(points, again)
     assert np.array_equal(triangles, same)
+    disc = Disc(0.05)
+    ends = np.array([-1e-17, 0.0123, 0.0123001, 0.05, disc.perimeter - 1e-6])
+    points, triangles, _ = sized(disc, ends, 1e-3)
+    apart = np.linalg.norm(points[:, None] - disc.rim_points(ends), axis=2)
+    assert apart.min(axis=0).max() < 1e-12
+    distance = np.linalg.norm(points - disc.radius, axis=1)
+    assert np.abs(distance[rim_of(triangles)] - disc.radius).max() < 1e-15
+    assert angles(points, triangles).min() > 20
+    points, triangles, _ = sized(SPLINTER, [0.052, 0.057], 1e-3)
+    smallest = angles(points, triangles).min(axis=1)
+    assert smallest.min() > 0.95 * np.degrees(np.arctan(0.1))
+    beyond = points[triangles][:, :, 0].min(axis=1) > 0.02
+    assert smallest[beyond].min() > 28
+
+
+# Tetrahedra that follow edges and corners
+
+
+trimesh = OnDemand("trimesh")
+
+BOX = np.array([[x, y, z] for x in (0.0, 3.0) for y in (0.0, 2.0) for z in (0.0, 1.0)])
+BOX_FACES = np.array(
+    [
+        *([0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]),
+        *([2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]),
+    ]
+)
+SURFACE = TriangleSurface.from_triangles(BOX, BOX_FACES)
+
+
+def test_features_are_sharp_edges_and_sizes_those_wanted_near_them():
+    assert len(SURFACE.edges) == 12
+    assert np.array_equal(np.sort(SURFACE.corners), np.arange(8))
+    assert (np.count_nonzero(np.ptp(BOX[SURFACE.edges], axis=1), axis=1) == 1).all()
+    for sides, edges, corners in ((48, 96, 0), (6, 18, 12)):  # at 7.5 degrees: the rims alone
+        mesh = trimesh.creation.cylinder(1.0, 1.0, sections=sides)
+        found = TriangleSurface.from_triangles(mesh.vertices, mesh.faces)
+        assert (len(found.edges), len(found.corners)) == (edges, corners)
+    grading, edges = (
+        Grading(0.1, 0.2, 0.5),
+        np.random.default_rng(5).uniform(0, [3, 2, 1], (300, 3)),
+    )
+    places, cells, sizes = _sizing(edges, grading, BOX)
+    distance = np.linalg.norm(places[:, None] - edges, axis=2).min(axis=1)
+    assert np.count_nonzero(distance < 1e-11) == len(edges)
+    assert distance[distance > 1e-11].min() > 2.0 * grading.finest
+    assert sizes == pytest.approx(np.minimum(0.2, sizes[distance < 1e-11].max() + 0.5 * distance))
+    assert sizes.min() == pytest.approx(grading.finest, rel=0.5)
+    assert np.abs(volumes(places, cells)).sum() == pytest.approx(3.6 * 2.6 * 1.6, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("place", "goal"),
+    [
+        ((1.3, 0.7, 1.04), (1.3, 0.7, 1.0)),  # above a face
+        ((1.3, 0.7, 0.96), (1.3, 0.7, 1.0)),  # below it
+        ((1.3, 0.03, 0.96), (1.3, 0.0, 1.0)),  # near an edge
+        ((2.97, 0.03, 0.96), (3.0, 0.0, 1.0)),  # near a corner
+        ((3.07, 0.05, 0.05), (3.0, 0.05, 0.05)),  # nearer to the line of an edge than to the edge
+        ((1.3, 0.7, 0.5), (1.3, 0.7, 0.5)),  # far from everything
+    ],
+)
+def test_places_go_to_the_sharpest_feature_within_reach(place, goal):
+    *_, found = SURFACE.targets(np.array([place, (0.1, 0.1, 0.5)]), 0.08)
+    assert found[0] == pytest.approx(goal, abs=1e-12)
+
+
+def test_dented_boxes_become_plane_and_no_cell_is_flattened():
+    points, cells = block(4, (12, 8, 4), (3, 2, 1))
+    inside = ((points > 0) & (points < [3, 2, 1])).all(axis=1)
+    assert volumes(points, cells).sum() == pytest.approx(6.0, rel=1e-9)
+    rough = points.copy()
+    rng = np.random.default_rng(3)
+    away = rng.normal(size=points.shape) * (np.isclose(points, 0) | np.isclose(points, [3, 2, 1]))
+    rough += 0.02 * away / np.maximum(np.linalg.norm(away, axis=1), 1e-9)[:, None]
+    assert abs(volumes(rough, cells).sum() / 6 - 1) > 1e-4
+    smooth = snap_boundary(rough, cells, SURFACE, 0.03)
+    assert np.array_equal(smooth[inside], points[inside])
+    assert smooth == pytest.approx(points, abs=1e-12)
+    # The apex of the first is within reach of the face that its base lies in.
+    flat = [[1.0, 1.0, 1.0], [1.5, 1.0, 1.0], [1.0, 1.5, 1.0], [1.2, 1.2, 0.95]]
+    tall = [[2.0, 1.0, 0.97], [2.2, 1.0, 0.6], [2.0, 1.3, 0.6], [2.1, 1.1, 0.2]]
+    # The first corner of these is within reach of the top, and of its edge in the plane y = 0.
+    free, held = (
+        [[1.0, 0.06, 0.97], [0.8, 0.0, 0.6], [1.2, 0.0, 0.6], [1.0, y, 0.3]] for y in (0.4, 0.0)
+    )
+    points = np.array([*flat, *tall, *free, *held])
+    cells = np.array([[0, 2, 1, 3]]) + 4 * np.arange(4)[:, None]
+    assert volumes(points, cells).min() > 0
+    found = snap_boundary(points, cells, SURFACE, 0.08)
+    assert np.array_equal(found[:4], points[:4])
+    assert found[[4, 8, 12]] == pytest.approx(
+        np.array([[2.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 0.06, 1.0]])
+    )

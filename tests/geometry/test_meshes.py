@@ -40,7 +40,7 @@ def slab(request):
     return request.param, make(REFERENCE, grading), grading
 
 
-def test_cells_fill_the_slab_and_its_electrodes_exactly(slab):
+def test_cells_fill_the_slab_and_are_fine_at_the_electrode_edges(slab):
     kind, mesh, _ = slab
     assert volumes(mesh.points, mesh.cells).min() > 0
     assert quality(mesh).volume == pytest.approx(SIZE.prod(), rel=1e-12)
@@ -58,9 +58,6 @@ def test_cells_fill_the_slab_and_its_electrodes_exactly(slab):
         assert (mesh.points.reshape(-1, 3, 3)[:, :, 2] == mesh.heights).all()
     rim = mesh.points[np.unique(boundary_faces(mesh.cells)[0])]
     assert np.minimum(np.abs(rim), np.abs(rim - SIZE)).min(axis=1).max() < 1e-15
-
-
-def test_cells_are_fine_at_the_electrode_edges_and_coarse_elsewhere(slab):
     _, mesh, grading = slab
     corners = mesh.points[mesh.cells]
     size = np.ptp(corners[..., :2], axis=1).mean(axis=1)
@@ -91,29 +88,14 @@ def test_tetrahedra_are_counted_before_any_are_made(grading, count) -> None:
         tetrahedral_mesh(REFERENCE, grading)
 
 
-def test_hexahedra_end_at_breaks() -> None:
+def test_hexahedra_and_prisms_meet_breaks_electrodes_and_layers():
     x = structured_mesh(REFERENCE, FINE, breaks=(0.0531, 0.0969)).points[:, 0]
     assert np.abs(x[:, None] - [0.0531, 0.0969]).min(axis=0).max() < 1e-12
-
-
-def test_layers_are_kept_where_electrodes_have_level_edges() -> None:
     electrodes = (*REFERENCE.electrodes, Electrode(0.05, 0.03, on="top"))
     design = dataclasses.replace(REFERENCE, electrodes=electrodes)
     fine = layer_heights(design, Grading(finest=1e-4, coarsest=8e-3, growth=1.0, layers=4))
     assert np.diff(fine).max() < 1.01 * 0.005 / 4
     assert np.diff(fine)[-1] < 3e-4 < np.diff(fine)[0]
-
-
-ELECTRODES = (
-    Electrode(0.015, 0.015, 0.01, on="top", shape="round"),
-    Electrode(0.015, 0.06, 0.01, height=0.006, on="bottom"),
-    Electrode(0.06, 0.015, 0.02, height=0.012, on="inside", z=0.0013),
-    Electrode(0.0, 0.06, 0.01, height=0.001, z=0.002),
-    Electrode(0.1, 0.0, 0.012),  # around a corner
-)
-
-
-def test_prisms_meet_every_kind_of_electrode_and_layer():
     layers = (Layer(0.001, 1.0), Layer(0.004, 0.1))
     design = SensorDesign(BENT, 0.005, ELECTRODES, layers=layers)
     mesh = triangulated_mesh(design, FINE)
@@ -123,6 +105,15 @@ def test_prisms_meet_every_kind_of_electrode_and_layer():
     # Interfaces, sheets and the ends of electrodes are layers of points.
     for z in (0.001, 0.0013, 0.0015, 0.0025):
         assert np.abs(mesh.heights - z).min() < 1e-12
+
+
+ELECTRODES = (
+    Electrode(0.015, 0.015, 0.01, on="top", shape="round"),
+    Electrode(0.015, 0.06, 0.01, height=0.006, on="bottom"),
+    Electrode(0.06, 0.015, 0.02, height=0.012, on="inside", z=0.0013),
+    Electrode(0.0, 0.06, 0.01, height=0.001, z=0.002),
+    Electrode(0.1, 0.0, 0.012),  # around a corner
+)
 
 
 @pytest.mark.slow

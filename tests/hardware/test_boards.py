@@ -84,7 +84,7 @@ def board(request, recording, monkeypatch):
 # ---- every board ----
 
 
-def test_gives_frames_of_its_protocol_in_order(board):
+def test_frames_come_in_order_also_after_calibrating_and_connecting_again(board):
     frames = take(board, 10)
     assert board.protocol == PROTOCOL
     assert all(frame.protocol == PROTOCOL for frame in frames)
@@ -96,9 +96,12 @@ def test_gives_frames_of_its_protocol_in_order(board):
     assert (board.counts.frames, board.lost, board.counts.dropped) == (10, 0, {})
     assert (board.info.frequency, board.info.n_measurements) == (40e3, 28)
     assert board.info.table_crc32 == Table.from_protocol(PROTOCOL).crc32
-
-
-def test_calibrates_where_there_is_something_to_calibrate_and_closes_twice(board):
+    first = take(board, 3)
+    board.reconnect()
+    again = take(board, 3)
+    assert again[0].session == first[0].session
+    assert all(np.allclose(frame.impedance, FLAT, atol=2.0) for frame in again)
+    assert board.counts.frames == 16
     if isinstance(board, ReplayBoard):
         with pytest.raises(ConfigurationError, match="a recording cannot"):
             board.calibrate()
@@ -109,19 +112,10 @@ def test_calibrates_where_there_is_something_to_calibrate_and_closes_twice(board
     board.close()
 
 
-def test_goes_on_after_connecting_again(board):
-    first = take(board, 3)
-    board.reconnect()
-    again = take(board, 3)
-    assert again[0].session == first[0].session
-    assert all(np.allclose(frame.impedance, FLAT, atol=2.0) for frame in again)
-    assert board.counts.frames == 6
-
-
 # ---- opening ----
 
 
-def test_a_port_in_use_is_refused_and_reopens_when_free():
+def test_ports_open_without_flow_control_for_one_program_at_a_time():
     with virtual_terminal(speed="max", simulator=FakeSimulator()) as terminal:
         uri = f"serial:{terminal.path}"
         with open_board(uri) as first:
@@ -133,6 +127,11 @@ def test_a_port_in_use_is_refused_and_reopens_when_free():
     assert after[0].number > before[-1].number
     assert after[0].session == before[0].session
     assert (second.lost, second.counts.frames) == (0, 3)
+    with virtual_terminal(speed="max", simulator=FakeSimulator()) as terminal:
+        port = open_port(terminal.path, "serial:x")
+        settings = (port.baudrate, port.xonxoff, port.rtscts, port.exclusive)
+        assert settings == (921600, False, False, True)
+        port.close()
 
 
 def test_a_kind_of_board_enters_by_an_entry_point(recording, monkeypatch):
@@ -149,7 +148,7 @@ def test_a_kind_of_board_enters_by_an_entry_point(recording, monkeypatch):
 # ---- recordings ----
 
 
-def test_a_recording_keeps_status_and_session_and_counts_what_was_lost_within_one(
+def test_recordings_keep_status_count_losses_and_wait_as_recorded_or_are_refused(
     recording, tmp_path
 ):
     with open_board(f"replay:{recording}") as board:
@@ -161,18 +160,12 @@ def test_a_recording_keeps_status_and_session_and_counts_what_was_lost_within_on
             writer.append(Frame(FLAT, PROTOCOL, 0.3 * number, number, session))
     with open_board(f"replay:{tmp_path / 'run'}") as board:
         assert [board.lost for _ in board.frames()] == [0, 2, 2, 2, 2, 2]  # none falls behind
-
-
-def test_folders_that_cannot_be_replayed_are_data_errors(tmp_path):
     with pytest.raises(DataError, match="not a complete dataset"):
         open_board(f"replay:{tmp_path}")
     path = tmp_path / "shard-00000.h5"
     write_shard(path, Dataset.from_arrays(np.ones((4, 28), np.complex64)), 0)
     with pytest.raises(DataError, match="--protocol"):
         open_board(f"replay:{path}")
-
-
-def test_real_speed_waits_as_the_recording_did(recording):
     now, waits = [0.0], []
 
     def wait(seconds):
@@ -218,14 +211,6 @@ def test_eitskin_board_serves_one_host_after_the_other_until_interrupted(ended_b
             process.kill()
 
 
-def test_ports_are_opened_without_flow_control():
-    with virtual_terminal(speed="max", simulator=FakeSimulator()) as terminal:
-        port = open_port(terminal.path, "serial:x")
-        settings = (port.baudrate, port.xonxoff, port.rtscts, port.exclusive)
-        assert settings == (921600, False, False, True)
-        port.close()
-
-
 # ---- ports ----
 
 
@@ -243,7 +228,7 @@ def ports(monkeypatch):
     return here
 
 
-def test_a_board_is_followed_by_its_serial_number(ports):
+def test_a_board_is_followed_by_its_serial_number_of_a_path_or_link(ports, tmp_path):
     """Also one that was named by its path, or by none where it is the only one of USB."""
     named = connector("", "serial:?usb=205A3D", 1, usb="205A3D")
     by_path = connector("/dev/ttyACM0", "serial:/dev/ttyACM0", 2)
@@ -260,9 +245,6 @@ def test_a_board_is_followed_by_its_serial_number(ports):
     assert without() == ("/dev/ttyS0", "serial:/dev/ttyS0", 3)
     with pytest.raises(DeviceError, match="205A3D"):
         named()
-
-
-def test_the_serial_number_of_a_path_or_a_link_to_it(ports, tmp_path):
     ports[:] = [BUILT_IN, dataclasses.replace(BOARD, device=str(tmp_path / "real"))]
     (tmp_path / "by-id").symlink_to(tmp_path / "real")
     paths = (tmp_path / "real", tmp_path / "by-id", "/dev/ttyS0", "/dev/none")

@@ -128,7 +128,7 @@ def test_a_reboot_is_a_new_session_whose_numbers_may_wrap(text, first):
     assert (board.lost, board.counts.dropped) == (0, {})
 
 
-def test_a_port_in_use_is_refused_until_it_is_free():
+def test_a_port_in_use_is_refused_until_free_and_taken_when_its_host_lets_go():
     with pytest.raises(DeviceError, match="another program"):
         virtual(faults="port_in_use")
     with virtual() as board:
@@ -139,9 +139,6 @@ def test_a_port_in_use_is_refused_until_it_is_free():
         while next(frames).session == 1:
             pass
         assert tries
-
-
-def test_a_port_that_a_host_has_is_taken_when_the_host_lets_go():
     with virtual_terminal(speed="max", simulator=FakeSimulator()) as terminal:
         uri = f"serial:{terminal.path}"
         with open_board(uri) as board:
@@ -189,7 +186,8 @@ def test_what_is_stuck_has_no_noise_left(name, frozen):
 # ---- names ----
 
 
-def test_every_fault_is_read_back_and_in_the_table_of_the_page():
+def test_every_fault_is_read_back_and_all_at_once_end_in_frames_or_a_device_error():
+    """Whatever is combined: no other exception, and no value that was not sent."""
     for name, kind in FAULTS.items():
         (fault,) = read_faults(f"{name}@17:3")
         assert (fault.kind, fault.frame, fault.index) == (kind, 17, 3)
@@ -199,10 +197,6 @@ def test_every_fault_is_read_back_and_in_the_table_of_the_page():
     table = page.partition("\n## Faults of virtual boards\n")[2].partition("\n## ")[0]
     rows = [row for row in table.splitlines() if row.startswith("| ")][1:]
     assert sorted(re.findall(r"\w+", " ".join(rows))) == sorted(FAULTS)
-
-
-def test_every_fault_at_once_ends_in_frames_or_in_a_device_error():
-    """Whatever is combined: no other exception, and no value that was not sent."""
     rng = np.random.default_rng(5)
     names = [name for name in FAULTS if "unplug" not in name and name not in ("replug",)]
     for _ in range(30):
@@ -266,7 +260,8 @@ def protocol(request):
     return PROTOCOLS[request.param]
 
 
-def test_a_short_is_a_further_resistor_between_the_two_electrodes(protocol):
+def test_faults_of_electrodes_are_those_of_a_network_of_resistors(protocol):
+    """Ground is the mean of the others; 100 pF at 40 kHz is 39.8 kohm."""
     for channel in (0, 3):
         b = np.zeros(N)
         one, other = protocol.table[channel][:2]
@@ -275,17 +270,11 @@ def test_a_short_is_a_further_resistor_between_the_two_electrodes(protocol):
         expected = readings(G + np.outer(b, b) / SHORT, protocol)
         np.testing.assert_allclose(frame.impedance, expected, rtol=1e-5, atol=1e-4)
         assert not np.allclose(frame.impedance, readings(G, protocol), rtol=0.01)
-
-
-def test_swapped_electrodes_read_as_a_table_with_both_exchanged(protocol):
     swapped = {2: 3, 3: 2}
     table = tuple(tuple(swapped.get(e, e) for e in row) for row in protocol.table)
     (frame,) = frames("swapped_electrodes@0:2", protocol)
     expected = readings(G, Protocol(table, N))
     np.testing.assert_allclose(frame.impedance, expected, rtol=1e-5, atol=1e-4)
-
-
-def test_a_worse_contact_shows_only_where_current_and_voltage_pass_it(protocol):
     first, last = frames("contact_loss@0:5", protocol, 5)[::4]
     table = np.array(protocol.table) == 5
     both = table[:, :2].any(axis=1) & table[:, 2:].any(axis=1)
@@ -295,14 +284,9 @@ def test_a_worse_contact_shows_only_where_current_and_voltage_pass_it(protocol):
     grown = np.abs(last.impedance - before)[both]
     pairs = readings(G, Protocol(tuple((5, k, 5, k) for k in range(N) if k != 5), N))
     np.testing.assert_allclose(grown, 0.2 * pairs.real.mean(), rtol=1e-4)
-
-
-def test_a_lead_that_is_off_reads_ground_through_its_capacitance(protocol):
-    """Ground is the mean of the others; 100 pF at 40 kHz is 39.8 kohm."""
     (frame,) = frames("open_electrode@0:4", protocol)
     involved = (np.array(protocol.table) == 4).any(axis=1)
     assert np.array_equal(frame.status == Status.OPEN, involved)
-    before = readings(G, protocol)
     np.testing.assert_allclose(frame.impedance[~involved], before[~involved], rtol=1e-5, atol=1e-4)
     rest = np.delete(np.arange(N), 4)
     for row, value in zip(protocol.table, frame.impedance, strict=True):

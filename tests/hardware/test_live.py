@@ -59,12 +59,7 @@ def test_frames_that_a_pipeline_refuses_are_counted_and_come_with_the_reason(err
         assert len(reading.problem) < 300
 
 
-def test_another_sensor_ends_the_loop():
-    with pytest.raises(FrameError, match="another sensor"):
-        list(run_live(FakeBoard([frame(0)]), Refusing(FrameError("another sensor"), {0})))
-
-
-def test_every_frame_comes_with_its_estimate_latency_and_rate():
+def test_every_frame_has_estimate_latency_and_rate_and_another_sensor_ends_the_loop():
     ticks = itertools.count(0.0, 0.25)
     board, pipeline = FakeBoard([frame(0), frame(1), frame(2)]), FakePipeline()
     readings = list(run_live(board, pipeline, clock=lambda: next(ticks)))
@@ -74,6 +69,8 @@ def test_every_frame_comes_with_its_estimate_latency_and_rate():
     assert np.isnan(readings[0].rate)
     assert readings[2].rate == pytest.approx(2.0)
     assert board.newest
+    with pytest.raises(FrameError, match="another sensor"):
+        list(run_live(FakeBoard([frame(0)]), Refusing(FrameError("another sensor"), {0})))
 
 
 # ---- live readings ----
@@ -120,7 +117,7 @@ class Slow(FakePipeline):
         return super().process(frame)
 
 
-def test_the_lines_of_the_page_move_something(monkeypatch):
+def test_lines_of_the_page_move_something_and_closing_ends_every_thread(monkeypatch):
     (lines,) = re.findall(r"```python\n(.*?LiveReadings.*?)```", PAGE.read_text(), re.DOTALL)
     assert len([line for line in lines.splitlines() if line]) <= 10
     monkeypatch.setattr("eitskin.training.open_pipeline", lambda _: FakePipeline(), raising=False)
@@ -138,67 +135,6 @@ def test_the_lines_of_the_page_move_something(monkeypatch):
     names["arm"] = Arm()
     exec(lines.replace('"serial:"', '"virtual:?speed=max"'), names)  # noqa: S102
     assert moved == [(0.05, 0.02)] * 3
-
-
-def test_a_slow_reader_gets_the_newest_reading_and_no_queue():
-    pipeline = Slow()
-    with LiveReadings(Cable(*(frame(number) for number in range(6))), pipeline) as readings:
-        each = iter(readings)
-        assert next(each).frame.number == 0
-        pipeline.may.release(5)
-        last = [next(each).frame.number]
-        while last[-1] != 5:
-            last.append(next(each).frame.number)
-        assert last == sorted(set(last))
-        assert readings.newest.frame.number == 5
-
-
-def test_a_stale_reading_is_never_given_as_the_newest():
-    with LiveReadings(Cable(frame(0)), FakePipeline()) as readings:
-        assert next(iter(readings)).frame.number == 0
-        assert readings.newest.frame.number == 0
-        readings._arrived -= 4e6  # more than three periods
-        assert readings.newest is None
-    assert readings.newest is None
-
-
-def test_a_board_that_goes_away_is_connected_to_again():
-    board = Cable(frame(0), None, None, frame(1))
-    with LiveReadings(board, FakePipeline()) as readings:
-        for reading in readings:
-            if reading.frame.number == 1:
-                break
-        assert (board.reconnected, readings.problem) == (2, "")
-
-
-def test_a_function_is_called_with_readings_and_its_error_ends_the_session():
-    called, ended = [], threading.Event()
-
-    def function(reading):
-        called.append(reading.frame.number)
-        ended.set()
-        raise ValueError("the gripper is stuck")
-
-    readings = LiveReadings(Cable(frame(0)), FakePipeline())
-    readings.call(function)
-    assert ended.wait(300.0)
-    with pytest.raises(ValueError, match="stuck"):
-        readings.close()
-    readings.close()
-    assert called == [0]
-
-
-def test_an_error_of_the_session_is_raised_where_it_is_read():
-    refusing = Refusing(FrameError("another sensor"), {0})
-    with (
-        pytest.raises(FrameError, match="another sensor"),
-        LiveReadings(Cable(frame(0)), refusing) as readings,
-    ):
-        list(readings)
-    assert readings.problem == "another sensor"
-
-
-def test_closing_ends_every_thread_and_iteration(monkeypatch):
     monkeypatch.setattr(
         "eitskin.hardware.virtual.virtual_board.Simulator", lambda *_, **__: FakeSimulator()
     )
@@ -213,6 +149,55 @@ def test_closing_ends_every_thread_and_iteration(monkeypatch):
     for each in others:
         each.join(300.0)
     assert threading.active_count() == before
+
+
+def test_a_slow_reader_gets_the_newest_and_never_a_stale_reading():
+    pipeline = Slow()
+    with LiveReadings(Cable(*(frame(number) for number in range(6))), pipeline) as readings:
+        each = iter(readings)
+        assert next(each).frame.number == 0
+        pipeline.may.release(5)
+        last = [next(each).frame.number]
+        while last[-1] != 5:
+            last.append(next(each).frame.number)
+        assert last == sorted(set(last))
+        assert readings.newest.frame.number == 5
+    with LiveReadings(Cable(frame(0)), FakePipeline()) as readings:
+        assert next(iter(readings)).frame.number == 0
+        assert readings.newest.frame.number == 0
+        readings._arrived -= 4e6  # more than three periods
+        assert readings.newest is None
+    assert readings.newest is None
+    board = Cable(frame(0), None, None, frame(1))
+    with LiveReadings(board, FakePipeline()) as readings:
+        for reading in readings:
+            if reading.frame.number == 1:
+                break
+        assert (board.reconnected, readings.problem) == (2, "")
+
+
+def test_errors_of_functions_and_sessions_end_and_are_raised_where_read():
+    called, ended = [], threading.Event()
+
+    def function(reading):
+        called.append(reading.frame.number)
+        ended.set()
+        raise ValueError("the gripper is stuck")
+
+    readings = LiveReadings(Cable(frame(0)), FakePipeline())
+    readings.call(function)
+    assert ended.wait(300.0)
+    with pytest.raises(ValueError, match="stuck"):
+        readings.close()
+    readings.close()
+    assert called == [0]
+    refusing = Refusing(FrameError("another sensor"), {0})
+    with (
+        pytest.raises(FrameError, match="another sensor"),
+        LiveReadings(Cable(frame(0)), refusing) as readings,
+    ):
+        list(readings)
+    assert readings.problem == "another sensor"
 
 
 # ---- acquisition clock ----
@@ -246,7 +231,7 @@ def test_begin_is_known_but_for_the_shortest_time_on_the_line_for_hours(drift):
         assert off == pytest.approx(shortest, abs=1e-9 + 200 * PERIOD * DRIFT)
 
 
-def test_another_session_has_another_clock():
+def test_clocks_are_of_a_session_and_nothing_is_known_without_a_duration():
     clock = AcquisitionClock()
     assert clock.measurement_start(timed(0, time=100.0), 5.0) == pytest.approx(5.0 - DURATION)
     assert clock.measurement_start(timed(0, time=7000.0, session=2), 6.0) == pytest.approx(
@@ -256,9 +241,6 @@ def test_another_session_has_another_clock():
     assert clock.measurement_start(timed(0, time=1.0, session=2), 9.0) == pytest.approx(
         9.0 - DURATION
     )
-
-
-def test_without_a_duration_nothing_is_known():
     assert math.isnan(AcquisitionClock().measurement_start(timed(0, duration=math.nan), 5.0))
 
 

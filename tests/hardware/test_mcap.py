@@ -160,18 +160,12 @@ def test_what_is_not_estimated_has_no_topic(changes, problem, status, topics, tm
         assert (touches.width, len(touches.data)) == (0, 0)
 
 
-def test_the_page_names_every_topic_type_and_field() -> None:
+def test_topics_are_those_of_the_page_and_stamps_follow_sessions_and_clock():
     page = (Path(__file__).parents[2] / "docs" / "reference" / "live.md").read_text()
     for topic, kind in RosMessages().types.items():
         assert f"| `{topic}` | `{kind.replace('/msg', '')}` |" in page
     for name in TOUCH_FIELDS:
         assert f"`{name}`" in page
-
-
-# When
-
-
-def test_sessions_follow_each_other_by_a_second_or_the_clock_and_stamps_never_go_back() -> None:
     stamps = Stamps()
     times = [(0, 5.0), (0, 5.25), (1, 0.0), (1, 0.5), (1, 0.5), (1, 0.2), (1, 0.3)]
     found = [stamps.stamp_frame(a_frame(time, session)) for session, time in times]

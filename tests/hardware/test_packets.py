@@ -70,12 +70,9 @@ def test_packets_survive_however_the_stream_is_chopped(sent, pieces):
     assert not decoder.drops
 
 
-def test_hello_has_the_bytes_given_in_the_specification():
-    assert encode(pack(Hello(), 1)).hex(" ") == "00 04 01 01 01 05 0f e3 21 81 00"
-
-
-def test_a_frame_and_info_have_the_bytes_of_the_specification():
+def test_packets_and_parts_have_the_bytes_of_the_specification():
     """Little-endian, one field after the other; see docs/reference/wire-protocol.md."""
+    assert encode(pack(Hello(), 1)).hex(" ") == "00 04 01 01 01 05 0f e3 21 81 00"
     values = np.array([1 - 2j], np.complex64)
     frame = FrameData(0x01020304, 1.5, 0.25, values, np.array([5], np.uint8))
     assert pack(frame, 0).payload.hex(" ") == (
@@ -87,9 +84,17 @@ def test_a_frame_and_info_have_the_bytes_of_the_specification():
         + bytes.fromhex("03 00 00 00 08 1c ef be ad de 00 40 1c 47 00 00 00 3f")
         + bytes.fromhex("00 00 7a 44 00 00 48 43 60 87 04 00")
     )
+    # See docs/reference/wire-protocol.md.
+    first, second = frame_packets(sent_frame(1, 110), 0xFFFF)
+    assert (first.version, first.seq, second.seq) == (2, 0xFFFF, 0)
+    assert first.payload[16:28].hex(" ") == "00 6d 00 00 6e 00 00 00 00 00 00 00"
+    assert second.payload[16:24].hex(" ") == "00 01 00 00 6e 00 6d 00"
+    assert second.payload[24:28] == cobs.decode(encode(first)[1:-1])[-4:]
+    assert len(second.payload) == 28 + 9
 
 
-def test_buffer_is_bounded_and_the_decoder_recovers():
+def test_the_decoder_is_bounded_and_passes_neither_control_characters_nor_old_parts():
+    """The same number and time, other values."""
     decoder = Decoder()
     for _ in range(1000):
         assert list(decoder.feed(b"x" * 1000)) == []
@@ -98,6 +103,18 @@ def test_buffer_is_bounded_and_the_decoder_recovers():
     assert len(longest) == MAX_PACKET
     assert [packet.type for packet in decoder.feed(2 * longest)] == [0xFF, 0xFF]
     assert decoder.drops == {PacketDrop.TOO_LONG: 1}
+    event = unpack(pack(Event(0, 0, "clear \x1b[2J\x9b1m and\rwrite\n"), 0))
+    assert event.text == "clear ?[2J?1m and?write?"
+    info = unpack(pack(replace(INFO, firmware="\x1b]0;me\x07 1.0"), 0))
+    assert info.firmware == "?]0;me? 1.0"
+    old, new = sent_frame(0), replace(sent_frame(0), impedance=sent_frame(1).impedance)
+    parts = [[encode(packet) for packet in frame_packets(data, 0)] for data in (old, new)]
+    found, dropped = joined(b"".join(parts[0][:1] + parts[1][1:] + parts[1]))
+    assert len(found) == 1
+    assert found[0].impedance.tobytes() == new.impedance.tobytes()
+    assert dropped == 3
+    found, dropped = joined(1000 * parts[0][0])  # the newest is all that is held
+    assert (found, dropped) == ([], 999)
 
 
 @pytest.mark.parametrize(
@@ -149,13 +166,6 @@ def test_messages_survive_the_wire(message, seq):
     assert unpack(packet) == message
 
 
-def test_control_characters_of_a_firmware_do_not_reach_the_terminal():
-    event = unpack(pack(Event(0, 0, "clear \x1b[2J\x9b1m and\rwrite\n"), 0))
-    assert event.text == "clear ?[2J?1m and?write?"
-    info = unpack(pack(replace(INFO, firmware="\x1b]0;me\x07 1.0"), 0))
-    assert info.firmware == "?]0;me? 1.0"
-
-
 # ---- frame parts ----
 
 
@@ -205,16 +215,6 @@ def test_frames_of_any_size_survive_the_wire(n):
     assert dropped == 0
 
 
-def test_a_part_has_the_bytes_of_the_specification():
-    """See docs/reference/wire-protocol.md."""
-    first, second = frame_packets(sent_frame(1, 110), 0xFFFF)
-    assert (first.version, first.seq, second.seq) == (2, 0xFFFF, 0)
-    assert first.payload[16:28].hex(" ") == "00 6d 00 00 6e 00 00 00 00 00 00 00"
-    assert second.payload[16:24].hex(" ") == "00 01 00 00 6e 00 6d 00"
-    assert second.payload[24:28] == cobs.decode(encode(first)[1:-1])[-4:]
-    assert len(second.payload) == 28 + 9
-
-
 @given(st.randoms(use_true_random=False))
 def test_damaged_streams_of_parts_give_only_frames_that_were_sent(rng):
     packets = stream(range(8))
@@ -232,18 +232,6 @@ def test_damaged_streams_of_parts_give_only_frames_that_were_sent(rng):
         )
     found, _ = joined(b"".join(packets))
     assert all(map(is_as_sent, found))
-
-
-def test_parts_of_a_board_that_started_anew_are_not_joined_with_older_ones():
-    """The same number and time, other values."""
-    old, new = sent_frame(0), replace(sent_frame(0), impedance=sent_frame(1).impedance)
-    parts = [[encode(packet) for packet in frame_packets(data, 0)] for data in (old, new)]
-    found, dropped = joined(b"".join(parts[0][:1] + parts[1][1:] + parts[1]))
-    assert len(found) == 1
-    assert found[0].impedance.tobytes() == new.impedance.tobytes()
-    assert dropped == 3
-    found, dropped = joined(1000 * parts[0][0])  # the newest is all that is held
-    assert (found, dropped) == ([], 999)
 
 
 # ---- table and identity ----

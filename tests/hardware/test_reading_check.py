@@ -77,7 +77,7 @@ def test_ideal_meters_are_healthy(protocol, reads):
         assert check_readings(frames(protocol, each), protocol).healthy
 
 
-def test_a_board_that_loads_source_and_sink_differently_is_told_by_swapped_drives():
+def test_loads_break_reciprocity_and_are_told_by_swapped_drives():
     meter = FourTerminalMeter(sink=0.2, idle=0.05, sense_plus=0.1, reads="magnitude")
     result = check_readings(frames(OPPOSITE, meter), OPPOSITE)
     assert kinds(result) == [FindingKind.DRIVE_SWAP]
@@ -86,9 +86,6 @@ def test_a_board_that_loads_source_and_sink_differently_is_told_by_swapped_drive
     assert law.relations == 16
     assert law.violated > 8
     assert law.largest > law.median > 0.05
-
-
-def test_loads_break_reciprocity_but_not_loops_and_gains_break_both():
     loaded = FourTerminalMeter(sink=0.2, idle=0.05)
     assert kinds(check_readings(frames(SHARED, loaded), SHARED))[0] == FindingKind.RECIPROCITY
     gains = FourTerminalMeter(channel_scale=tuple(RNG.uniform(0.7, 1.3, len(SHARED))))
@@ -96,7 +93,7 @@ def test_loads_break_reciprocity_but_not_loops_and_gains_break_both():
     assert kinds(check_readings(frames(SHARED, gains), SHARED)) == expected
 
 
-def test_one_wrong_channel_is_named():
+def test_wrong_dead_stuck_and_clipped_channels_are_named_and_noise_is_none():
     values = frames(SHARED)
     values[:, 5] *= 1.5
     result = check_readings(values, SHARED)
@@ -107,19 +104,10 @@ def test_one_wrong_channel_is_named():
     assert kinds(result) == [FindingKind.RECIPROCITY, FindingKind.LOOP]
     values[:, 5] *= -1.0 / 1.5  # a pair of the table the wrong way round
     assert "wrong sign" in check_readings(values, SHARED).findings[0].message
-
-
-def test_noise_is_no_violation():
     noisy = frames(SHARED, count=30, noise=0.05)
     laws = check_readings(noisy, SHARED)
     assert laws.healthy
     assert max(law.largest for law in laws.laws) > 0.05
-
-
-# ---- channels ----
-
-
-def test_dead_stuck_and_clipped_channels_are_named_in_any_protocol():
     values = frames(Protocol.opposite(8))
     values[:, 3] = 0.0
     values[:, 7] = values[0, 7]
@@ -134,9 +122,6 @@ def test_dead_stuck_and_clipped_channels_are_named_in_any_protocol():
         (FindingKind.STUCK, (7,)),
         (FindingKind.CLIPPED, (11,)),
     }
-
-
-def test_a_board_that_saturates_is_clipped_though_it_sets_no_status():
     largest = np.abs(frames(SHARED)).max()
     meter = FourTerminalMeter(saturation=0.4 * largest, step=1e-4 * largest, reads="signed")
     values = frames(SHARED, meter, noise=0.0)
@@ -145,9 +130,6 @@ def test_a_board_that_saturates_is_clipped_though_it_sets_no_status():
     clipped = [each for each in result.findings if each.what == FindingKind.CLIPPED]
     assert {k for each in clipped for k in each.channels} == set(np.flatnonzero(limited))
     assert limited.sum() > 1
-
-
-def test_status_bits_and_values_that_are_no_numbers_count():
     values = frames(SHARED)
     values[3, 2] = np.nan
     status = np.zeros(values.shape, np.uint8)

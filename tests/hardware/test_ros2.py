@@ -127,7 +127,7 @@ def session():
     return facts
 
 
-def test_every_message_arrives_as_it_was_written(session) -> None:
+def test_messages_arrive_as_written_with_stamps_of_their_frames(session):
     heard = session["heard"]
     numbers = [int(number) for number in heard["numbers"]]
     assert numbers == list(range(numbers[0], numbers[0] + FRAMES))
@@ -144,9 +144,6 @@ def test_every_message_arrives_as_it_was_written(session) -> None:
         [0, f"{NAME}: sensor", "touch", NAME],
         [0, f"{NAME}: channels", "all channels are good", NAME],
     ]
-
-
-def test_stamps_are_when_the_frame_came_and_the_table_reaches_who_comes_late(session) -> None:
     first, *others = session["heard"]["stamps"]
     assert (first + 4_000_000) % 10**8 == 0  # the clock, less the latency
     assert np.diff([first, *others]).tolist() == [10**8] * (FRAMES - 1)
@@ -155,7 +152,7 @@ def test_stamps_are_when_the_frame_came_and_the_table_reaches_who_comes_late(ses
     assert f"/{NAME}/bend" in json.loads(text)["units"]
 
 
-def test_the_graph_has_the_names_types_and_hashes_of_ros(session) -> None:
+def test_the_graph_has_the_names_types_and_hashes_of_ros_and_their_owner(session):
     offered = {each["topic"]: each for each in session["publications"]}
     types = RosMessages(NAME).types
     expected = {f"rt{topic}": dds_type_name(kind) for topic, kind in types.items()}
@@ -175,9 +172,6 @@ def test_the_graph_has_the_names_types_and_hashes_of_ros(session) -> None:
         "std_srvs::srv::dds_::Trigger_Request_",
     )
     assert request["data"] == offered[f"rr/{NAME}/tareReply"]["data"] != ""
-
-
-def test_the_node_owns_its_writers_and_readers(session) -> None:
     ((participant, data),) = session["participants"]
     assert data == "enclave=/;"
     (node,) = session["heard"]["nodes"]
@@ -187,24 +181,6 @@ def test_the_node_owns_its_writers_and_readers(session) -> None:
     assert set(node["writers"]) == keys
     assert node["readers"] == [each["key"] for each in session["subscriptions"]]
     assert all(key.startswith(participant[:24]) for key in keys)
-
-
-def test_the_service_answers_with_the_frames_that_came_since(session) -> None:
-    first, second = session["taken"]
-    assert [np.diff(each).tolist() for each in (first, second)] == [[1, 1, 1]] * 2
-    assert second[0] > first[-1]
-    assert session["answers"] == [
-        {"client": 7, "sequence_number": 41, "success": True, "message": "mean of 4 frames"},
-        {"client": 7, "sequence_number": 42, "success": False, "message": "the sensor moves"},
-    ]
-
-
-def test_a_stopped_and_a_killed_subscriber_hold_nothing_up(session) -> None:
-    assert session["end"]
-    assert session["refused"] == 0
-
-
-def test_names_follow_the_design_of_ros() -> None:
     assert require_name("/left_hand/skin/") == NAME
     assert dds_service("/a/tare") == ("rq/a/tareRequest", "rr/a/tareReply")
     for name in ("", "/", "2nd", "a b", "a//b", "a__b", "a-b", "ä", 161 * "a"):
@@ -213,6 +189,18 @@ def test_names_follow_the_design_of_ros() -> None:
     for domain in (-1, 233):
         with pytest.raises(ConfigurationError, match="ROS_DOMAIN_ID"):
             require_domain(domain)
+
+
+def test_the_service_answers_and_stopped_subscribers_hold_nothing_up(session):
+    first, second = session["taken"]
+    assert [np.diff(each).tolist() for each in (first, second)] == [[1, 1, 1]] * 2
+    assert second[0] > first[-1]
+    assert session["answers"] == [
+        {"client": 7, "sequence_number": 41, "success": True, "message": "mean of 4 frames"},
+        {"client": 7, "sequence_number": 42, "success": False, "message": "the sensor moves"},
+    ]
+    assert session["end"]
+    assert session["refused"] == 0
 
 
 class StandInForNode:

@@ -72,18 +72,30 @@ def exchanged(values, one, other):
 
 
 @pytest.mark.slow
-def test_healthy_specimens_are_not_accused_on_noisy_nor_quiet_boards():
+def test_healthy_specimens_and_boards_are_not_accused_by_check_or_command():
     for number in range(4):
         assert check(flat(number), seed=number).findings == ()
     for snr_db in (60.0, 90.0):
         board = dataclasses.replace(Instrument.ad5940(), snr_db=snr_db)
         assert check(flat(), instrument=board).healthy
+    result = command_line.run("check", "--board", "virtual:?speed=max", "--frames", "8")
+    assert result.exit_code == 0
+    assert "8 frames" in result.stdout
+    assert "flat" in result.stderr
 
 
-def test_a_few_frames_are_enough_for_what_one_frame_shows():
+def test_a_few_frames_are_enough_and_ohms_are_of_the_right_scale():
     one = flat(0) + 400.0 * at(6)
     assert check(flat(0), count=1).healthy
     assert found(check(one, count=1)) == [(FindingKind.BAD_CONTACT, (6,))]
+    given = [
+        dataclasses.replace(each, impedance=5.0 * each.impedance)
+        for each in frames(flat() + 300.0 * at(5))
+    ]
+    factor, contact = check_sensor(given, expected()).findings
+    assert (factor.what, contact.electrodes) == (FindingKind.FACTOR, (5,))
+    assert "5 times" in factor.message
+    assert float(contact.message.split(", ")[1].split()[0]) == pytest.approx(300.0, abs=25.0)
 
 
 # ---- one fault ----
@@ -127,23 +139,19 @@ def test_a_bad_contact_is_named(ohm):
         assert_one(check(flat(1) + ohm * at(e), seed=e), FindingKind.BAD_CONTACT, (e,), None)
 
 
-def test_a_bad_channel_is_named():
+def test_bad_channels_and_several_faults_are_named_together():
     for k in range(0, 28, 3):
         noisy = flat(1) * (1.0 + 0.01 * NOISE * (CHANNELS == k))
         assert_one(check(noisy, seed=k), FindingKind.NOISY, (), (k,))
         off = flat(1) * (1.0 + 0.1 * (CHANNELS == k))
         assert_one(check(off, seed=k), FindingKind.MISFIT, (), (k,))
-
-
-def test_the_ohms_are_those_of_the_right_scale():
-    given = [
-        dataclasses.replace(each, impedance=5.0 * each.impedance)
-        for each in frames(flat() + 300.0 * at(5))
-    ]
-    factor, contact = check_sensor(given, expected()).findings
-    assert (factor.what, contact.electrodes) == (FindingKind.FACTOR, (5,))
-    assert "5 times" in factor.message
-    assert float(contact.message.split(", ")[1].split()[0]) == pytest.approx(300.0, abs=25.0)
+    ill = exchanged(flat(3), 0, 3) + 300.0 * at(5)
+    ill[at(6)] = -39.8e3j
+    assert set(found(check(ill))) == {
+        (FindingKind.OPEN, (6,)),
+        (FindingKind.SWAPPED, (0, 3)),
+        (FindingKind.BAD_CONTACT, (5,)),
+    }
 
 
 @pytest.mark.parametrize(
@@ -201,23 +209,11 @@ def test_values_that_are_no_numbers_are_one_finding(channels, value, status, exp
     assert found(check_sensor(marked, expected())) == [expected_finding]
 
 
-# ---- several faults ----
-
-
-def test_several_faults_are_named_together():
-    ill = exchanged(flat(3), 0, 3) + 300.0 * at(5)
-    ill[at(6)] = -39.8e3j
-    assert set(found(check(ill))) == {
-        (FindingKind.OPEN, (6,)),
-        (FindingKind.SWAPPED, (0, 3)),
-        (FindingKind.BAD_CONTACT, (5,)),
-    }
-
-
 # ---- other protocols, and what cannot be ----
 
 
-def test_of_other_protocols_only_what_can_be_said():
+def test_other_protocols_say_what_can_be_said_and_small_readings_are_no_fault():
+    """Those far from the driven electrodes lie in the noise, and depend on where electrodes are."""
     protocol = Protocol.adjacent(8)
     values = np.linspace(20.0, 60.0, len(protocol))
     noise = np.random.default_rng(0).standard_normal((FRAMES, len(protocol)))
@@ -232,6 +228,22 @@ def test_of_other_protocols_only_what_can_be_said():
     assert FindingKind.SHORT not in {
         each.what for each in check_sensor([Frame(z, protocol) for z in measured], values).findings
     }
+    protocol = Protocol.adjacent(16)
+    expected, rng = np.geomspace(54.0, 0.002, len(protocol)), np.random.default_rng(0)
+    truth = expected * np.exp(0.1 * rng.normal(size=len(protocol)))
+    truth[-5:] = 0.2  # a hundred times as much
+    noise = 54.0 * 10 ** (-75 / 20)
+
+    def frames(noise):
+        return [Frame(truth + noise * rng.normal(size=len(truth)), protocol) for _ in range(FRAMES)]
+
+    assert check_sensor(frames(noise), expected).healthy
+    truth[10] *= 60.0
+    (finding,) = check_sensor(frames(noise), expected).findings
+    assert (finding.what, finding.channels) == (FindingKind.OPEN, (10,))
+    truth[10] /= 60.0
+    (finding,) = check_sensor(frames(30.0 * noise), expected).findings
+    assert finding.what == FindingKind.NOISY
 
 
 @pytest.mark.parametrize("protocol", [Protocol.adjacent(8), Protocol.opposite(8)], ids=str)
@@ -262,14 +274,6 @@ def test_faults_of_electrodes_in_four_terminal_frames(protocol):
 kept_simulator = lru_cache(Simulator)  # of the sensor that all of the boards have
 
 
-@pytest.mark.slow
-def test_the_command_finds_nothing_on_a_healthy_board():
-    result = command_line.run("check", "--board", "virtual:?speed=max", "--frames", "8")
-    assert result.exit_code == 0
-    assert "8 frames" in result.stdout
-    assert "flat" in result.stderr
-
-
 @pytest.mark.parametrize(
     ("faults", "expected"),
     [("shorted_pair@0:12", [("short", [1, 7])]), ("nan_channel@0:4", [("not finite", [])])],
@@ -294,23 +298,3 @@ def test_the_command_lists_ports(monkeypatch):
     assert command_line.run("check", "--list").stdout.splitlines()[-1] == last  # as in version 0.2
     monkeypatch.setattr(port, "serial_ports", lambda: ())
     assert "no serial port" in command_line.run("ports").stdout
-
-
-def test_small_readings_between_neighbours_are_no_fault():
-    """Those far from the driven electrodes lie in the noise, and depend on where electrodes are."""
-    protocol = Protocol.adjacent(16)
-    expected, rng = np.geomspace(54.0, 0.002, len(protocol)), np.random.default_rng(0)
-    truth = expected * np.exp(0.1 * rng.normal(size=len(protocol)))
-    truth[-5:] = 0.2  # a hundred times as much
-    noise = 54.0 * 10 ** (-75 / 20)
-
-    def frames(noise):
-        return [Frame(truth + noise * rng.normal(size=len(truth)), protocol) for _ in range(FRAMES)]
-
-    assert check_sensor(frames(noise), expected).healthy
-    truth[10] *= 60.0
-    (finding,) = check_sensor(frames(noise), expected).findings
-    assert (finding.what, finding.channels) == (FindingKind.OPEN, (10,))
-    truth[10] /= 60.0
-    (finding,) = check_sensor(frames(30.0 * noise), expected).findings
-    assert finding.what == FindingKind.NOISY

@@ -147,16 +147,13 @@ def test_a_client_that_vanishes_frees_its_seat_and_one_too_many_is_told(served):
         assert again.recv(300.0) == "3"
 
 
-def test_pages_from_elsewhere_may_not_listen(served):
+def test_foreign_pages_may_not_listen_and_a_port_in_use_is_refused(served, listener):
     for origin in ("http://127.0.0.1:8000", "http://localhost"):
         with connect(served.url, origin=origin):
             pass
     for origin in ("http://evil.example", "http://127.0.0.1.evil.example", "null"):
         with pytest.raises(InvalidStatus, match="403"), connect(served.url, origin=origin):
             pass
-
-
-def test_a_port_in_use_is_refused_and_nothing_stays_open(served, listener):
     port, connection = served.url.rpartition(":")[2].strip("/"), Connection(FakeBoard([]))
     with pytest.raises(ConfigurationError, match=port):
         streams.open_publisher(connection, str(listener.getsockname()[1]), port)
@@ -231,7 +228,7 @@ def test_the_clients_of_the_page_read_every_record(language, request):
     assert (client.returncode, lines) == (0, SHOWN)
 
 
-def test_the_lines_of_the_page_read_the_websocket(served, capsys):
+def test_lines_and_service_of_the_page_are_those_of_this_command(served, capsys):
     (lines,) = re.findall(
         r"```python\n(import json\n.*?)```", (DOCS / "how-to" / "robot.md").read_text(), re.DOTALL
     )
@@ -240,9 +237,6 @@ def test_the_lines_of_the_page_read_the_websocket(served, capsys):
     lines = lines.replace("ws://127.0.0.1:8941/", served.url)
     exec(lines + "        break\n", {})  # noqa: S102
     assert capsys.readouterr().out == "reading idle\n"
-
-
-def test_the_service_is_one_of_this_command():
     text = (CLIENTS / "eitskin-live.service").read_text()
     program, *arguments = shlex.split(re.search("^ExecStart=(.*)$", text, re.MULTILINE)[1])
     assert program.endswith("/eitskin")

@@ -128,15 +128,12 @@ def test_frames_are_whole_groups_between_pauses(size, counts, frames, incomplete
     assert finder.drops[FrameDrop.INCOMPLETE] == incomplete
 
 
-def test_lines_that_usb_delays_and_bundles_are_no_pause_and_a_given_pause_is_known_at_once():
+def test_late_lines_are_no_pause_and_marks_need_none():
     finder = FrameFinder(6, marked=False)
     bundled = found(finder, [6] * 5, lambda now: math.ceil(now / 0.016) * 0.016)
     assert [group for _, group in bundled][-3:] == [{2}, {3}, {4}]
     assert finder.period == pytest.approx(PERIOD, abs=0.016)
     assert found(FrameFinder(6, marked=False, pause=0.03), [6, 6]) == [(0, {1})]
-
-
-def test_marks_need_no_pause():
     finder = FrameFinder(6, marked=True)
     lines = [Measurement(1 + 0j)] * 6
     given = [*lines[:3], Mark(), *lines, Mark(), *lines[:5], Mark(), *lines, Mark(), Mark(), *lines]
@@ -356,15 +353,12 @@ def test_a_line_is_a_part_of_a_frame(form):
         assert np.array_equal(frame.impedance, first + np.arange(6))
 
 
-def test_two_numbers_are_a_measurement_where_that_is_said():
+def test_two_numbers_are_a_measurement_where_that_is_said_and_a_rest_is_no_part():
     for pairs, second, value in (("deg", 90, 2j), ("rad", -math.pi / 2, -2j), ("imag", 9, 2 + 9j)):
         for text in (f"2,{second},1,0\n", f"2,{second}\n1,0\n", f"2 {second}; 1 0\n"):
             lines = LineDecoder(size=2, pairs=pairs).feed(text.encode())
             read = [each.impedance for line in lines for each in line.measurements]
             assert read == pytest.approx([value, 1], abs=1e-9)
-
-
-def test_the_rest_of_a_line_is_no_part():
     lines = LineDecoder(size=4).feed(b"1,2,3,4\n3,4\n4\nRzMag: 1 Ohm , RzPhase: 2\n1,2\n")
     assert [len(getattr(line, "measurements", "1")) for line in lines] == [4, 1]
 

@@ -35,7 +35,16 @@ BENT = Step(Scene(bend=Bend(20.0)), 2)
 # ---- scenes ----
 
 
-def test_a_script_changes_the_scene_while_the_board_runs():
+def test_scripts_are_read_from_toml_and_change_the_scene(tmp_path):
+    (tmp_path / "scene.toml").write_text("[bend]\nangle_deg = 20.0\n")
+    (tmp_path / "script.toml").write_text(
+        "repeat = false\n[[steps]]\nframes = 3\n"  # flat and untouched where nothing is said
+        "[[steps]]\nframes = 2\n[steps.scene.bend]\nangle_deg = 20.0\n"
+    )
+    script = Script((Step(Scene(), 3), BENT), repeat=False)
+    assert Script.from_toml(tmp_path / "script.toml") == script
+    assert [script(number) for number in (2, 3, 9)] == [Scene(), BENT.scene, BENT.scene]
+    assert Script.from_toml(tmp_path / "scene.toml")(5) == BENT.scene
     script = Script((Step(Scene(), 2), dataclasses.replace(BENT, frames=3)))
     simulator = FakeSimulator()
     with open_board("virtual:", speed="max", scene=script, snr_db=np.inf, simulator=simulator) as b:
@@ -46,22 +55,10 @@ def test_a_script_changes_the_scene_while_the_board_runs():
     assert np.allclose(PROTOCOL.measure(stage.impedance_at_frame(30)), FLAT * 1.03)
 
 
-def test_scripts_and_single_scenes_are_read_from_toml(tmp_path):
-    (tmp_path / "scene.toml").write_text("[bend]\nangle_deg = 20.0\n")
-    (tmp_path / "script.toml").write_text(
-        "repeat = false\n[[steps]]\nframes = 3\n"  # flat and untouched where nothing is said
-        "[[steps]]\nframes = 2\n[steps.scene.bend]\nangle_deg = 20.0\n"
-    )
-    script = Script((Step(Scene(), 3), BENT), repeat=False)
-    assert Script.from_toml(tmp_path / "script.toml") == script
-    assert [script(number) for number in (2, 3, 9)] == [Scene(), BENT.scene, BENT.scene]
-    assert Script.from_toml(tmp_path / "scene.toml")(5) == BENT.scene
-
-
 # ---- measurements ----
 
 
-def test_noise_is_that_of_the_seed_and_of_the_frame():
+def test_a_virtual_board_is_one_session_of_its_seed_and_instrument():
     sensors = [SimulatedSensor(FakeSimulator(), Instrument(60.0), seed) for seed in (3, 3, 4)]
     one, same, other = (sensor.measure(FLAT_MATRIX, 5)[0] for sensor in sensors)
     assert np.array_equal(one, same)
@@ -69,9 +66,6 @@ def test_noise_is_that_of_the_seed_and_of_the_frame():
     noisy = [sensors[0].measure(FLAT_MATRIX, number)[0] for number in range(300)]
     assert (np.array(noisy) - FLAT).real.std() == pytest.approx(820.0 * 1e-3, rel=0.03)
     assert np.std(noisy, axis=0).min() > 0.0
-
-
-def test_a_virtual_board_is_one_session_of_its_instrument_and_drifts_along_its_frames():
     steady = Instrument(snr_db=0.0, gain=0.002, reciprocity=0.004)
     sensor = SimulatedSensor(FakeSimulator(), steady, seed=3)
     first, _ = sensor.measure(FLAT_MATRIX, 0)
@@ -85,9 +79,6 @@ def test_a_virtual_board_is_one_session_of_its_instrument_and_drifts_along_its_f
     factor = np.exp(session.drift(np.array([500.0]))[0])
     assert abs(factor - 1.0) > 1e-5
     assert np.allclose(sensor.measure(FLAT_MATRIX, 1000)[0], FLAT * factor, rtol=1e-12)
-
-
-def test_a_virtual_board_loads_its_sensor_and_clips_as_its_instrument_does():
     sim = Simulator(SensorDesign.reference(), "coarse")
     meter = FourTerminalMeter(sink=2e-3, idle=1e-3, scale=4.0)
     sensor = SimulatedSensor(sim, dataclasses.replace(Instrument.ideal(), meter=meter))
@@ -149,7 +140,7 @@ def answers(board_firmware, packet):
     return [unpack(packet) for packet in Decoder().feed(sent)]
 
 
-def test_firmware_says_no_to_what_it_does_not_know_and_ignores_garbage():
+def test_firmware_refuses_what_it_does_not_know_and_ends_after_its_count():
     assert answers(firmware(), Packet(0x42, 7)) == [Ack(7, 0x42, 2)]
     assert answers(firmware(), Packet(MessageType.START, 8, b"x")) == [Ack(8, MessageType.START, 2)]
     assert answers(firmware(), pack(Ack(1, 1), 9)) == [Ack(9, MessageType.ACK, 1)]
@@ -157,9 +148,6 @@ def test_firmware_says_no_to_what_it_does_not_know_and_ignores_garbage():
     assert answers(large, pack(GetTable(), 3)) == [Ack(3, MessageType.GET_TABLE, 4)]
     assert answers(large, pack(GetTable(928), 3)) == [Ack(3, MessageType.GET_TABLE, 2)]
     assert firmware().receive(b"\0\x03AT\r\n\0") == b""
-
-
-def test_start_with_a_count_ends_after_it():
     board = firmware()
     board.receive(encode(Packet(MessageType.START, 1, b"\x03\0\0\0")))
     streaming = [board.frame() and board.streaming for _ in range(3)]
@@ -213,7 +201,7 @@ def test_the_board_is_never_ahead_of_its_host():
         assert (board.lost, board.counts.skipped, board.counts.dropped) == (0, 0, {})
 
 
-def test_a_pulled_cable_ends_the_port_and_comes_back_as_another_session(clock):
+def test_a_pulled_cable_comes_back_as_a_session_and_an_unplugged_board_when_cleared(clock):
     cable, waits = line(clock, "replug@4:2"), []
 
     def wait(seconds):
@@ -225,9 +213,6 @@ def test_a_pulled_cable_ends_the_port_and_comes_back_as_another_session(clock):
         assert [frame.session for frame in frames] == [1] * 4 + [2] * 4
         assert waits[0] == 1  # it was out for a while
         assert (cable.cable, board.counts.reconnections) == (2, 1)
-
-
-def test_an_unplugged_board_stays_away_until_its_faults_are_cleared(clock):
     board = VirtualBoard(line(clock, "unplug@2"))
     stream = board.frames()
     assert [next(stream).number for _ in range(2)] == [0, 1]

@@ -1,5 +1,6 @@
-"""What the pages say: links lead somewhere, code is code, commands exist, citations agree."""
+"""Pages: links, commands, words, and what they say of the code and the board."""
 
+import csv
 import importlib.util
 import pkgutil
 import re
@@ -134,12 +135,25 @@ def words(page):
     return sum(bool(re.search(r"\w", word)) for word in text.split())
 
 
-def test_pages_are_few_and_short():
+def test_pages_are_few_short_on_the_map_with_examples_and_made_from_the_code():
     counts = {page: words(page) for page in [*WRITTEN, *GENERATED] if page != ARCHITECTURE}
     assert len(counts) <= MAX_PAGES
     assert sum(counts.values()) <= MAX_ALL_WORDS
     assert not {page for page, count in counts.items() if count > MAX_WORDS} - GENERATED
     assert len((ROOT / "README.md").read_text().splitlines()) <= 110
+    index = DOCS / "index.md"
+    assert not {*WRITTEN, *GENERATED} - set(RESULTS) - links(index) - {index}
+    assert not set(RESULTS) - links(DOCS / "explanation" / "results.md")
+    text = (DOCS / "explanation" / "physics.md").read_text()
+    computed = re.findall(r"`(eitskin[\w.]+)`", text)
+    assert len(computed) > 15
+    for name in computed:
+        assert pkgutil.resolve_name(name), name
+    pages = runpy.run_path(str(DOCS / "site" / "reference.py"))["PAGES"]
+    for name, page in pages.items():
+        assert (DOCS / "reference" / name).read_text() == page(), "run `make pages`"
+    assert len(paths()) > 35
+    assert not [path for path in paths() if len(command_examples(path)) != 2]
 
 
 def links(page):
@@ -147,35 +161,10 @@ def links(page):
     return {(page.parent / target.split("#")[0]).resolve() for target in LINK.findall(prose(page))}
 
 
-def test_every_page_is_on_the_map_and_every_result_is_linked():
-    index = DOCS / "index.md"
-    assert not {*WRITTEN, *GENERATED} - set(RESULTS) - links(index) - {index}
-    assert not set(RESULTS) - links(DOCS / "explanation" / "results.md")
-
-
-def test_what_the_physics_names_is_there():
-    text = (DOCS / "explanation" / "physics.md").read_text()
-    computed = re.findall(r"`(eitskin[\w.]+)`", text)
-    assert len(computed) > 15
-    for name in computed:
-        assert pkgutil.resolve_name(name), name
-
-
 def paths(command=COMMAND, path="eitskin"):
     """Names of all commands that have no others below them."""
     below = getattr(command, "commands", {}).items()
     return [p for name, c in below if not c.hidden for p in paths(c, f"{path} {name}")] or [path]
-
-
-def test_every_command_has_two_examples():
-    assert len(paths()) > 35
-    assert not [path for path in paths() if len(command_examples(path)) != 2]
-
-
-def test_pages_made_from_the_code_are_up_to_date():
-    pages = runpy.run_path(str(DOCS / "site" / "reference.py"))["PAGES"]
-    for name, page in pages.items():
-        assert (DOCS / "reference" / name).read_text() == page(), "run `make pages`"
 
 
 @pytest.mark.slow
@@ -194,13 +183,10 @@ def test_the_example_in_the_readme_finds_the_touch_that_it_simulates(capsys) -> 
     assert f"```text\n{shown}```" in page, "the page shows what the example prints"
 
 
-def test_version_and_licence_are_those_of_the_package() -> None:
+def test_version_licence_and_cards_are_those_of_the_package():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert CITATION["version"] == eitskin.__version__
     assert CITATION["license"] == project["license"]
-
-
-def test_cards_cite_the_same_software_and_paper() -> None:
     (paper,) = CITATION["references"]
     assert paper["title"] in PAPER
     assert paper["journal"] in PAPER
@@ -208,3 +194,42 @@ def test_cards_cite_the_same_software_and_paper() -> None:
     assert all(each["family-names"] in PAPER for each in paper["authors"])
     data = Dataset.from_arrays(np.ones((1, 1)))
     assert CITATION["title"] in card("set", "mit", {"train": (1, 1)}, data, ())
+
+
+# The page of the board
+
+
+FOLDER = ROOT / "hardware" / "firmware" / "nucleo_f411"
+PAGE = FOLDER / "README.md"
+SCHEMATIC = ROOT / "docs" / "how-to" / "board" / "schematic.py"
+COMMON = {"U1": "CE0, by C1", "U2": "AIN1, by C2", "U3": "AIN2", "U4": "AIN3"}
+
+
+def rows(name):
+    with (FOLDER / name).open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def test_schematic_page_and_firmware_have_the_wires_of_the_multiplexers():
+    drawn = runpy.run_path(str(SCHEMATIC))["draw"](rows("wiring.csv"))
+    assert SCHEMATIC.with_suffix(".svg").read_text(encoding="utf-8") == drawn
+    wires = {row["goes to"]: row for row in rows("wiring.csv")}
+    for part, role in zip(COMMON, ("F+", "F-", "S+", "S-"), strict=True):
+        lines = [wires[f"{part} A{line}"] for line in range(4)]
+        assert all(row["signal"].startswith(f"{role} A") for row in lines)
+        cells = [f"{row['pin']}, {row['header']}" for row in lines]
+        table_row = f"| {part} ({role}) | {' | '.join(cells)} | {COMMON[part]} |"
+        assert table_row in PAGE.read_text(encoding="utf-8")
+    source = (FOLDER / "front_end.c").read_text(encoding="utf-8")
+    names = {"F+": "DRIVE_PLUS", "F-": "DRIVE_MINUS", "S+": "SENSE_PLUS", "S-": "SENSE_MINUS"}
+    pins = {row["signal"]: row["pin"] for row in rows("wiring.csv")}
+    assert len(set(pins.values())) == len(pins) == 24
+    for role, name in names.items():
+        (line,) = re.findall(rf"\[EIT_{name}\] = (.*),", source)
+        driven = [f"P{port}{number}" for port, number in re.findall(r"GPIO(\w), (\d+)", line)]
+        assert driven == [pins[f"{role} A{line}"] for line in range(4)]
+    bought = {part for row in rows("bill_of_materials.csv") for part in row["reference"].split()}
+    drawn = SCHEMATIC.with_suffix(".svg").read_text(encoding="utf-8")
+    shown = {"U1", "U2", "U3", "U4", "C1", "C2", "C7", "R1", "R2", "R3"}
+    assert all(part in drawn for part in shown)
+    assert bought == shown | {"C3", "C4", "C5", "C6"}

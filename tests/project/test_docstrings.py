@@ -49,12 +49,24 @@ def described(docstring, attribute):
     return found[1] if found else ""
 
 
-def test_every_public_name_has_a_docstring_whose_first_line_is_a_sentence():
+def test_public_names_have_docstrings_whose_arrays_have_shapes_or_units():
     assert len(NAMES) > 300
     for name, thing in NAMES.items():
         said = inspect.getdoc(thing)
         assert said, f"{name}: no docstring"
         assert re.fullmatch(r"\S.*[.:]", said.splitlines()[0]), f"{name}: {said.splitlines()[0]}"
+    for name, thing in NAMES.items():
+        said = inspect.getdoc(thing)
+        if not inspect.isclass(thing):
+            returned = getattr(thing, "fget", thing).__annotations__.get("return", "")
+            assert not ARRAY.search(str(returned)) or SHAPE_OR_UNIT.search(said), f"{name}: {said}"
+            continue
+        for attribute, kind in vars(thing).get("__annotations__", {}).items():
+            if ARRAY.search(str(kind)) and not attribute.startswith("_"):
+                text = described(said, attribute)
+                assert SHAPE_OR_UNIT.search(text), f"{name}.{attribute}: {text or 'not described'}"
+    assert all(map(breaks_rule, ["kept", "_solved", "of", "_at_end", "nodes_of", "mapped"]))
+    assert not any(map(breaks_rule, ["from_design", "extra_depth", "with_noise", "_solve", "seed"]))
 
 
 @pytest.mark.slow
@@ -68,19 +80,6 @@ def test_every_public_class_and_function_has_an_example_that_runs(package, tmp_p
             assert ">>>" in text or name == "simulator.Tolerance", name  # which is a number
             runner.run(doctest.DocTestParser().get_doctest(text, {}, name, None, 0))
     assert runner.summarize(verbose=False).failed == 0
-
-
-def test_every_array_of_a_class_or_that_is_returned_has_a_shape_or_a_unit():
-    for name, thing in NAMES.items():
-        said = inspect.getdoc(thing)
-        if not inspect.isclass(thing):
-            returned = getattr(thing, "fget", thing).__annotations__.get("return", "")
-            assert not ARRAY.search(str(returned)) or SHAPE_OR_UNIT.search(said), f"{name}: {said}"
-            continue
-        for attribute, kind in vars(thing).get("__annotations__", {}).items():
-            if ARRAY.search(str(kind)) and not attribute.startswith("_"):
-                text = described(said, attribute)
-                assert SHAPE_OR_UNIT.search(text), f"{name}.{attribute}: {text or 'not described'}"
 
 
 @cache
@@ -195,8 +194,3 @@ def test_functions_are_named_by_verbs_or_nouns(package):
         if name not in OLD and breaks_rule(name.rpartition(".")[2])
     }
     assert not names, "a function is named by what it does or by the quantity that it returns"
-
-
-def test_such_names_would_be_noticed():
-    assert all(map(breaks_rule, ["kept", "_solved", "of", "_at_end", "nodes_of", "mapped"]))
-    assert not any(map(breaks_rule, ["from_design", "extra_depth", "with_noise", "_solve", "seed"]))

@@ -9,13 +9,10 @@ from mutations.run import ROOT, Mutation, listed
 MUTATIONS = listed()
 
 
-def test_the_list_is_long_and_says_everything_once():
+def test_the_list_is_long_says_everything_once_and_can_be_applied():
     assert len(MUTATIONS) >= 40
     assert len({(each.file, each.old, each.new) for each in MUTATIONS}) == len(MUTATIONS)
     assert len({each.what for each in MUTATIONS}) == len(MUTATIONS)
-
-
-def test_each_can_be_applied_and_tested():
     for mutation in MUTATIONS:
         applied = mutation.applied()
         assert applied != (ROOT / mutation.file).read_text(encoding="utf-8"), mutation.what
@@ -24,9 +21,6 @@ def test_each_can_be_applied_and_tested():
             file, *names = test.split("::")
             text = (ROOT / "tests" / file).read_text(encoding="utf-8")
             assert all(re.search(rf"(def|class) {name}\b", text) for name in names), mutation.what
-
-
-def test_text_that_is_gone_is_an_error():
     lost = Mutation("lost", "eitskin/protocol.py", "what was never there", "", ())
     with pytest.raises(ValueError, match=r"lost.*'what was never there'.* 0 times"):
         lost.applied()

@@ -40,11 +40,23 @@ def test_it_runs_as_written(page, tmp_path, monkeypatch):
                 run(*words, code=0)
 
 
-def test_each_says_what_the_reader_will_have_and_how_long_it_takes():
+def test_pages_say_what_the_reader_will_have_and_notebooks_and_pictures_are_shown():
     assert len(TUTORIALS) == 4
     for page in TUTORIALS:
         first = page.read_text(encoding="utf-8").split("\n\n")[1]
         assert re.search(r"minutes", first), page.name
+    page = (DOCS / "index.md").read_text(encoding="utf-8")
+    assert len(NOTEBOOKS) == 3
+    for path in NOTEBOOKS:
+        assert f"(notebooks/{path.name})" in page
+    shown = {
+        (page.parent / each).resolve() for page in PAGES for each in IMAGE.findall(page.read_text())
+    }
+    found = [*DOCS.rglob("*.png"), *DOCS.rglob("*.gif")]
+    pictures = {path for path in found if path.parent.name != "api"}  # `make docs` writes there
+    assert pictures == {path for path in shown if path.suffix in (".png", ".gif")}
+    stems = {path.stem.removesuffix("_setup") for path in pictures}
+    assert stems == set(NOTES)
 
 
 def outputs(book):
@@ -64,13 +76,6 @@ def test_its_cells_run_in_order_and_print_what_is_stored(path):
     assert outputs(run(book)) == outputs(book), "run docs/notebooks/run.py"
     assert outputs(book)[0]
     assert "assert " in "".join("".join(each["source"]) for each in book["cells"])
-
-
-def test_all_notebooks_are_on_the_map():
-    page = (DOCS / "index.md").read_text(encoding="utf-8")
-    assert len(NOTEBOOKS) == 3
-    for path in NOTEBOOKS:
-        assert f"(notebooks/{path.name})" in page
 
 
 @pytest.fixture
@@ -111,14 +116,3 @@ def test_its_numbers_are_those_that_its_picture_was_drawn_with(script, run_scrip
 @pytest.mark.parametrize("script", [*DRAW["SCRIPTS"], DRAW["MUJOCO"]], ids=lambda path: path.stem)
 def test_its_picture_was_drawn_by_it_as_it_is_now(script):
     assert DRAW["digest"](script) == NOTES[script.stem]["digest"], "run `make pictures`"
-
-
-def test_every_picture_is_shown_and_drawn_by_a_script():
-    shown = {
-        (page.parent / each).resolve() for page in PAGES for each in IMAGE.findall(page.read_text())
-    }
-    found = [*DOCS.rglob("*.png"), *DOCS.rglob("*.gif")]
-    pictures = {path for path in found if path.parent.name != "api"}  # `make docs` writes there
-    assert pictures == {path for path in shown if path.suffix in (".png", ".gif")}
-    stems = {path.stem.removesuffix("_setup") for path in pictures}
-    assert stems == set(NOTES)

@@ -118,7 +118,7 @@ def test_complex_numbers_are_a_number_or_a_pair(z, written):
     assert thing(text).z == z
 
 
-def test_numbers_of_numpy_are_written_as_plain_ones():
+def test_numbers_of_toml_have_64_bits_and_those_of_numpy_are_plain():
     given = Thing(Ball(np.float64(0.1)), z=np.complex128(1 + 2j), numbers=(np.float32(0.5),))
     assert config.to_dict(given) == {
         "shape": {"radius": 0.1},
@@ -130,9 +130,6 @@ def test_numbers_of_numpy_are_written_as_plain_ones():
     assert thing(config.to_toml(given)) == given
     nulls = {"shape": {"radius": 1.0}, "spare": None, "size": None}
     assert config.from_dict(Thing, nulls, "data") == Thing(Ball(1.0))
-
-
-def test_integers_of_toml_have_64_bits():
     assert config.toml_table(f"a = [{{ b = {2**63 - 1} }}]", "it")["a"][0]["b"] == 2**63 - 1
     for text in (f"a = {2**63}", f"a = [1, {{ b = {-(2**63) - 1} }}]", f"a = {'9' * 4000}"):
         with pytest.raises(
@@ -141,7 +138,7 @@ def test_integers_of_toml_have_64_bits():
             config.toml_table(text, "it")
 
 
-def test_paths_start_from_the_folder_of_their_file(tmp_path):
+def test_files_are_written_whole_with_paths_from_their_folder(tmp_path):
     text = "\ufefffile = 'part.stl'\nshape = { radius = 1 }"  # with a byte order mark
     (tmp_path / "thing.toml").write_text(text, encoding="utf-8")
     assert config.read_toml(Thing, tmp_path / "thing.toml").file == tmp_path / "part.stl"
@@ -149,9 +146,6 @@ def test_paths_start_from_the_folder_of_their_file(tmp_path):
     assert thing("file = '/part.stl'\nshape = { radius = 1 }").file == Path("/part.stl")
     with pytest.raises(ConfigurationError, match="TOML text: file"):  # which is no user's file
         config.parse_toml(Thing, "file = '/etc/hosts'\nshape = { radius = 1 }")
-
-
-def test_a_file_is_written_whole_or_not_at_all(tmp_path):
     path = tmp_path / "thing.toml"
     text = config.write_toml(Thing(Ball(1.0)), path)
     assert path.read_text() == text == config.to_toml(Thing(Ball(1.0)))

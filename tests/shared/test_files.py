@@ -21,7 +21,7 @@ from eitskin.simulator import Instrument, Mechanics, Protocol, Scene
 from eitskin.training import StoredReference, TwinPrior
 
 
-def test_a_file_takes_its_name_at_the_end_and_a_failed_one_leaves_the_old(tmp_path) -> None:
+def test_files_and_folders_are_replaced_whole_or_not_at_all(tmp_path):
     path = tmp_path / "a.png"
     with files.atomic_file(path) as temporary:
         temporary.write_text("old")
@@ -32,15 +32,6 @@ def test_a_file_takes_its_name_at_the_end_and_a_failed_one_leaves_the_old(tmp_pa
         temporary.write_text("half \udcff", encoding="utf-8")
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
-
-
-def filled(path, *names) -> None:
-    with files.atomic_folder(path) as folder:
-        for name in names:
-            (folder / name).write_text(name)
-
-
-def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path) -> None:
     path = tmp_path / "above" / "some"
     filled(path, "a", "b")
     with pytest.raises(UnicodeEncodeError), files.atomic_folder(path) as folder:
@@ -50,6 +41,12 @@ def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path) -> None:
     assert [file.name for file in path.iterdir()] == ["c"]
     assert path.stat().st_mode & 0o777 == 0o755
     assert list(path.parent.iterdir()) == [path]
+
+
+def filled(path, *names) -> None:
+    with files.atomic_folder(path) as folder:
+        for name in names:
+            (folder / name).write_text(name)
 
 
 @pytest.mark.parametrize(
@@ -127,7 +124,7 @@ HUGE = (
 )
 
 
-def test_what_python_cannot_hold_is_refused_briefly():
+def test_what_python_cannot_hold_is_refused_and_values_are_quoted_briefly():
     for kind, text in HUGE:
         with pytest.raises(ConfigurationError) as refused:
             parse_toml(kind, text)
@@ -135,9 +132,6 @@ def test_what_python_cannot_hold_is_refused_briefly():
     for content in (b"[" * 200_000, b"9" * 5000, b'{"a": "\xff"}', b"1e999", b"NaN"):
         with pytest.raises(ValueError, match="JSON"):
             files.parse_json(content)
-
-
-def test_values_of_files_are_quoted_in_part():
     assert files.quote_value("a\x1b") == r"'a\x1b'"
     assert len(files.quote_value("x" * 10**6)) < 150
     assert files.printable("a\tb\x9b\nc\u202e") == "a\\tb\\x9b\nc\\u202e"

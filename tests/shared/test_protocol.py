@@ -7,7 +7,7 @@ from eitskin.errors import ConfigurationError, FrameError
 from eitskin.simulator import Protocol
 
 
-def test_named_protocols_drive_and_sense_the_pairs_of_their_name() -> None:
+def test_named_protocols_drive_sense_and_measure_the_pairs_of_their_name():
     pairwise = Protocol.pairwise(8)
     assert len(pairwise) == 28
     assert (*pairwise.labels[:3], pairwise.labels[-1]) == ("0-1", "0-2", "0-3", "6-7")
@@ -21,9 +21,6 @@ def test_named_protocols_drive_and_sense_the_pairs_of_their_name() -> None:
     assert all(not {a, b} & {c, d} for a, b, c, d in adjacent.table)
     for skip, apart in ((Protocol.skip(8, 2), (3, 3)), (Protocol.skip(8, 2, sense_skip=0), (3, 1))):
         assert {((b - a) % 8, (d - c) % 8) for a, b, c, d in skip.table} == {apart}
-
-
-def test_measure_is_sense_pattern_times_matrix_times_drive_pattern() -> None:
     rng = np.random.default_rng(0)
     Z = rng.standard_normal((5, 4, 4))
     protocol = Protocol(((0, 1, 2, 3), (1, 3, 0, 2)), 4)
@@ -40,16 +37,13 @@ def test_known_ranks(n) -> None:
     assert Protocol.adjacent(n, shared=True).rank == n * (n - 1) // 2
 
 
-def test_a_file_gives_back_what_was_written(tmp_path) -> None:
+def test_files_bring_tables_back_electrodes_counted_from_the_text_or_from_one(tmp_path):
     path = tmp_path / "protocol.csv"
     Protocol.adjacent(8).to_file(path)
     assert path.read_text().startswith("drive_plus,drive_minus,sense_plus,sense_minus\n0,1,2,3\n")
     assert Protocol.from_file(path, 8) == Protocol.adjacent(8)
     assert Protocol.from_name(str(path), 8) == Protocol.adjacent(8)
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_the_number_of_electrodes_comes_from_the_text_or_the_sensor(tmp_path) -> None:
     assert (
         Protocol.from_name("adjacent:16")
         == Protocol.from_name("adjacent", 16)
@@ -62,6 +56,14 @@ def test_the_number_of_electrodes_comes_from_the_text_or_the_sensor(tmp_path) ->
     assert Protocol.from_name(str(path)).n_electrodes == 4
     assert Protocol.from_name(f"{path}:8").n_electrodes == 8
     assert Protocol.from_name(str(path), 8).n_electrodes == 8
+    protocol, path = Protocol.adjacent(5), tmp_path / "one.csv"
+    rows = [",".join(str(electrode + 1) for electrode in row) for row in protocol.table]
+    heading = "\ufeffdrive_plus, drive_minus, sense_plus, sense_minus"  # as Windows writes it
+    path.write_bytes("\r\n".join([heading, "", *rows]).encode())
+    assert Protocol.from_file(path, 5) == Protocol.from_name(f"{path}:5") == protocol
+    assert Protocol.from_file(path, 6).table[0] == (1, 2, 3, 4)
+    with pytest.raises(ConfigurationError, match=r"no electrode 0.*one.csv:5'.*one.csv:6'"):
+        Protocol.from_file(path)
 
 
 @pytest.mark.parametrize("name", ["pairwise:8", "adjacent:16", "opposite:8", "skip:2:16"])
@@ -139,14 +141,3 @@ def test_protocols_that_cannot_be_are_refused(message, tmp_path, monkeypatch) ->
     for make in REFUSED[message]:
         with pytest.raises(ConfigurationError, match=message):
             make()
-
-
-def test_a_table_that_counts_from_one_is_read_as_such_or_asked_about(tmp_path):
-    protocol, path = Protocol.adjacent(5), tmp_path / "one.csv"
-    rows = [",".join(str(electrode + 1) for electrode in row) for row in protocol.table]
-    heading = "\ufeffdrive_plus, drive_minus, sense_plus, sense_minus"  # as Windows writes it
-    path.write_bytes("\r\n".join([heading, "", *rows]).encode())
-    assert Protocol.from_file(path, 5) == Protocol.from_name(f"{path}:5") == protocol
-    assert Protocol.from_file(path, 6).table[0] == (1, 2, 3, 4)
-    with pytest.raises(ConfigurationError, match=r"no electrode 0.*one.csv:5'.*one.csv:6'"):
-        Protocol.from_file(path)

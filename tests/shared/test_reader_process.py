@@ -40,7 +40,9 @@ def reader(tmp_path_factory):
             child.release(clean=False)
 
 
-def test_answers_come_back_as_they_were():
+def test_a_child_is_used_again_and_answers_and_errors_come_back():
+    first, second = (answers("[Answer(os.getpid())]")[0].data for _ in range(2))
+    assert first == second != os.getpid()
     made = answers(
         "[Answer({'a': [1, None]}, {'b': np.arange(3) + 1j}), Answer(len(content))]", b"xy"
     )
@@ -49,14 +51,6 @@ def test_answers_come_back_as_they_were():
     assert made[1].data == 2
     with pytest.raises(DataError, match="objects"):
         answers("[Answer(0, {'t': np.array([{}], dtype=object)})]")
-
-
-def test_a_child_is_used_again():
-    first, second = (answers("[Answer(os.getpid())]")[0].data for _ in range(2))
-    assert first == second != os.getpid()
-
-
-def test_errors_keep_their_kind():
     for kind in (ConfigurationError, DataError, ImportError):
         with pytest.raises(kind, match="why"):
             answers(f"fail({kind.__name__}('why'))")

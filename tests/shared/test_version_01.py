@@ -55,7 +55,7 @@ def test_a_dataset_has_the_same_values_to_the_last_bit(saved, name):
     assert electrodes == expected["electrodes"]
 
 
-def test_a_pipeline_gives_the_same_estimates(saved):
+def test_pipelines_recordings_positions_and_names_are_those_of_version_01(saved):
     pipeline, expected = Pipeline.load(saved / "paper.eitmodel"), EXPECTED["paper"]
     shown = pipeline.perceive(open_dataset(saved / "dataset"))
     assert same(shown.probabilities, expected["probabilities"])
@@ -65,9 +65,6 @@ def test_a_pipeline_gives_the_same_estimates(saved):
         assert same(touches.triples, known)
     assert set(shown.state.tolist()) == {0, 1, 2}
     assert any(expected["touches"])
-
-
-def test_a_replayed_recording_gives_the_same_session(saved):
     pipeline = Pipeline.load(saved / "paper.eitmodel")
     with open_board(f"replay:{saved / 'recording'}") as board:
         estimates = [pipeline.process(frame) for frame in board.frames()]
@@ -76,9 +73,6 @@ def test_a_replayed_recording_gives_the_same_session(saved):
         assert same(estimate.probabilities, known["probabilities"])
         assert same(estimate.bend_angle_deg, known["bend_angle_deg"])
         assert same(estimate.touches, known["touches"])
-
-
-def test_touch_positions_are_the_same(saved):
     presses = open_dataset(saved / "presses")
     found = held_out_positions(open_pipeline(saved / "positions.eitmodel"), presses)[1].place
     assert same(found, EXPECTED["positions"])
@@ -90,9 +84,6 @@ def test_touch_positions_are_the_same(saved):
     assert (old.frequency, old.extent) == pytest.approx((old.layout.frequency, None), nan_ok=True)
     assert old.described(presses).protocol == (presses.protocol or old.protocol)
     assert not hasattr(old, "colour")
-
-
-def test_every_public_name_is_still_offered() -> None:
     names = [line.split() for line in (DATA / "names.txt").read_text().splitlines()]
     assert len(names) == 80
     for room, name in names:

@@ -46,18 +46,14 @@ def test_deformations_are_those_of_plain_numpy(sim, scene) -> None:
         assert with_kernels(evaluated, scattered) == pytest.approx(plain, rel=1e-11, abs=1e-12)
 
 
-def test_frames_are_those_of_plain_numpy(sim) -> None:
+def test_frames_and_scenes_in_single_precision_are_those_of_plain_numpy(sim, monkeypatch):
     scenes = [Scene(Bend(20.0), PRESSED), Scene(touches=PRESSED[:1]), Scene(Bend(-10.0))]
     plain = np.array([sim.measure(scene).impedance for scene in scenes])
     found = sim.measure_all(scenes, tolerance=0.0)
     flat = sim.measure(Scene()).impedance
     assert not np.array_equal(found, plain)  # kernels round otherwise
     assert np.abs(found - plain).max() < 1e-8 * np.abs(plain - flat).max()
-
-
-def test_scenes_in_single_precision_are_those_of_plain_numpy(monkeypatch) -> None:
     sim = Simulator(SensorDesign.reference(), "coarse")
-    scenes = [Scene(Bend(20.0), PRESSED), Scene(touches=PRESSED[:1]), Scene(Bend(-10.0))]
     found = sim.impedances(scenes, 1e-5)
     monkeypatch.setattr(compiled, "load_kernels", lambda _: None)
     plain = sim.impedances(scenes, 1e-5)

@@ -58,7 +58,7 @@ def test_the_stream_begins_with_the_sensor_and_goes_on_with_frames(page, stream)
     }
 
 
-def test_a_sensor_of_unknown_geometry_is_a_rectangle(connection) -> None:
+def test_a_sensor_of_unknown_geometry_is_a_rectangle_and_frames_know_when_they_began(connection):
     region = Region((-0.05, -0.04), (0.05, 0.06))
     connection.board.info = Info(period=float("nan"))
     with LivePage(connection, region) as page, closing(Stream(page)) as stream:
@@ -73,9 +73,23 @@ def test_a_sensor_of_unknown_geometry_is_a_rectangle(connection) -> None:
         assert post(page, "/scene", {"touches": [{"x": -0.04, "y": 0.0, "force": 8}]})[0] < 300
         status, answer = post(page, "/scene", {"touches": [{"x": 0.07, "y": 0.0, "force": 8}]})
         assert (status, "on the sensor" in answer["error"]) == (400, True)
+    now = [50.0]
+    with (
+        LivePage(connection, DESIGN, clock=lambda: now[0]) as page,
+        closing(Stream(page)) as stream,
+    ):
+        stream.until("sensor")
+        page.publish(reading(1))
+        assert stream.until("frame")["begun"] is None  # a board that tells no duration
+        known = dataclasses.replace(reading(2).frame, duration=0.03, time=7.0)
+        page.publish(dataclasses.replace(reading(2), frame=known, latency=0.004))
+        assert stream.until("frame")["begun"] == pytest.approx(50.0 - 0.004 - 0.03)
 
 
-def test_what_is_damaged_or_not_estimated_is_sent_as_null(page, stream) -> None:
+@pytest.mark.usefixtures("many_beats")
+def test_damaged_values_are_null_and_an_estimate_that_cannot_be_shown_is_not_the_end(
+    page, stream, caplog
+):
     impedance = np.full(28, 500.0 + 0j)
     impedance[3] = complex(np.nan, np.nan)
     touch_map = np.full((32, 80), np.nan)
@@ -107,20 +121,11 @@ def test_what_is_damaged_or_not_estimated_is_sent_as_null(page, stream) -> None:
     assert shown["estimate"] is None
     assert shown["problem"] == "too few good channels"
     assert shown["bad"]["0-1"] == "open"
-
-
-def test_the_page_knows_when_a_frame_was_begun(connection) -> None:
-    now = [50.0]
-    with (
-        LivePage(connection, DESIGN, clock=lambda: now[0]) as page,
-        closing(Stream(page)) as stream,
-    ):
-        stream.until("sensor")
-        page.publish(reading(1))
-        assert stream.until("frame")["begun"] is None  # a board that tells no duration
-        known = dataclasses.replace(reading(2).frame, duration=0.03, time=7.0)
-        page.publish(dataclasses.replace(reading(2), frame=known, latency=0.004))
-        assert stream.until("frame")["begun"] == pytest.approx(50.0 - 0.004 - 0.03)
+    page.publish(reading(1, estimate="not an estimate at all"))
+    while not caplog.records:
+        assert stream.until("health")
+    page.publish(reading(2))
+    assert stream.until("frame")["number"] == 2
 
 
 def test_a_slow_browser_misses_frames_and_never_gets_old_ones(page, stream) -> None:
@@ -173,16 +178,6 @@ def test_a_browser_that_reads_nothing_is_dropped_and_delays_nobody(connection) -
             assert stream.until("frame")["number"] == number
         stream.close()
         stalled.close()
-
-
-@pytest.mark.usefixtures("many_beats")
-def test_an_estimate_that_cannot_be_shown_is_not_the_end(page, stream, caplog) -> None:
-    stream.until("sensor")
-    page.publish(reading(1, estimate="not an estimate at all"))
-    while not caplog.records:
-        assert stream.until("health")
-    page.publish(reading(2))
-    assert stream.until("frame")["number"] == 2
 
 
 @pytest.mark.usefixtures("many_beats")

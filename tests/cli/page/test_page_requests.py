@@ -69,10 +69,19 @@ def test_foreign_pages_are_refused(refusing, path, headers) -> None:
     assert "this page is called" in (error := json.loads(body)["error"]) or "only the page" in error
 
 
-def test_a_foreign_page_may_not_embed_but_may_link(page) -> None:
+def test_foreign_pages_may_link_and_neither_embed_nor_command(page, connection):
     foreign = {"Sec-Fetch-Site": "cross-site"}
     assert ask(page, "GET", "/events", headers=foreign)[0] == 403
     assert ask(page, "GET", "/", headers=foreign)[0] == 200
+    body = json.dumps({"bend_deg": 5}).encode()
+    assert ask(page, "POST", "/scene", body, JSON, own=False)[0] == 403
+    assert ask(page, "POST", "/scene", body, JSON | {"Origin": "http://evil.example"})[0] == 403
+    assert ask(page, "POST", "/scene", body, {"Content-Type": "text/plain"})[0] == 415
+    assert ask(page, "POST", "/elsewhere", body, JSON)[0] == 405
+    assert ask(page, "POST", "/scene", b" " * (MAX_BODY + 1), JSON)[0] == 413
+    assert ask(page, "POST", "/scene", None, JSON | {"Content-Length": "-1"})[0] == 400
+    assert ask(page, "PUT", "/scene", body, JSON)[0] == 403
+    assert connection.board.stage.scene == Scene()
 
 
 @pytest.mark.parametrize("name", ["127.0.0.1", "localhost"])
@@ -86,18 +95,6 @@ def test_its_own_names_and_origins_are_served(page, connection, name) -> None:
     assert post(page, "/scene", wanted, **headers) == (200, {"done": True})
     pressed = (Touch(0.05, 0.03, 4.0), Touch(0.1, 0.02, 8.5))
     assert connection.board.stage.scene == Scene(Bend(-12.5), pressed)
-
-
-def test_commands_need_the_pages_origin_and_json(page, connection) -> None:
-    body = json.dumps({"bend_deg": 5}).encode()
-    assert ask(page, "POST", "/scene", body, JSON, own=False)[0] == 403
-    assert ask(page, "POST", "/scene", body, JSON | {"Origin": "http://evil.example"})[0] == 403
-    assert ask(page, "POST", "/scene", body, {"Content-Type": "text/plain"})[0] == 415
-    assert ask(page, "POST", "/elsewhere", body, JSON)[0] == 405
-    assert ask(page, "POST", "/scene", b" " * (MAX_BODY + 1), JSON)[0] == 413
-    assert ask(page, "POST", "/scene", None, JSON | {"Content-Length": "-1"})[0] == 400
-    assert ask(page, "PUT", "/scene", body, JSON)[0] == 403
-    assert connection.board.stage.scene == Scene()
 
 
 @pytest.mark.parametrize(
@@ -130,7 +127,7 @@ def test_what_cannot_be_a_scene_is_refused_in_words(refusing, unchanged, data, m
     assert stage.scene == Scene()
 
 
-def test_faults_are_injected_and_ended(page, connection) -> None:
+def test_faults_and_episodes_begin_and_end(page, connection):
     stage = connection.board.stage
     assert post(page, "/fault", {"fault": "bit_flip:12"})[0] == 200
     for fault in ("tea:1", "bit_flip@3,unplug"):
@@ -140,10 +137,6 @@ def test_faults_are_injected_and_ended(page, connection) -> None:
     assert stage.faults == ("bit_flip:12",)
     assert post(page, "/fault", {"clear": True})[0] == 200
     assert stage.faults == ()
-
-
-def test_the_episode_is_played_and_ended(page, connection) -> None:
-    stage = connection.board.stage
     assert post(page, "/play", {"play": True})[0] == 200
     (script,) = stage.played
     assert script.steps[0].frames == 90  # three seconds
@@ -216,7 +209,9 @@ def test_each_token_does_what_it_is_for(guarded, connection, token, role, status
     assert connection.board.stage.scene == (Scene(Bend(5.0)) if status == 200 else Scene())
 
 
-def test_the_session_is_asked_by_who_may_command(connection):
+def test_the_session_is_asked_by_who_may_command_and_a_wrong_token_is_kept_nowhere(
+    connection, guarded, caplog
+):
     session = FakeSession()
     with LivePage(connection, DESIGN, access=Access(tokens=TOKENS), session=session) as page:
         own = bearer(TOKENS.command)
@@ -232,9 +227,6 @@ def test_the_session_is_asked_by_who_may_command(connection):
             session.task = {"progress": "working"}
             page.tell()
             assert stream.until("health")["tasks"]["task"] == session.task
-
-
-def test_a_wrong_token_is_kept_nowhere(guarded, caplog):
     caplog.set_level(logging.DEBUG)
     for token in ("", "wrong", TOKENS.view[:-1], TOKENS.view + "x", "\N{SNOWMAN}"):
         assert entering(guarded, token) == (401, "")
@@ -260,7 +252,7 @@ def test_every_network_needs_tokens_which_the_addresses_have():
     assert "[fe80::1]" in access.names("fe80::1%eth0")
 
 
-def test_tokens_are_kept_in_a_file_that_only_its_owner_reads(tmp_path):
+def test_tokens_are_kept_in_a_file_that_only_its_owner_reads_and_others_refused(tmp_path):
     path = tmp_path / "tokens"
     made = Access.for_host("127.0.0.1", path)
     assert made.tokens is not None
@@ -269,9 +261,6 @@ def test_tokens_are_kept_in_a_file_that_only_its_owner_reads(tmp_path):
     path.chmod(0o640)
     with pytest.raises(ConfigurationError, match="chmod 600"):
         Tokens.load_or_create(path)
-
-
-def test_other_files_are_no_tokens(tmp_path):
     path, known = tmp_path / "tokens", "0123456789abcdef"
     path.touch(0o600)
     texts = ("", "view short\ncommand short", f"view {known}", f"view {known}\ncommand {known}")

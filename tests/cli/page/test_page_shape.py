@@ -150,7 +150,7 @@ def test_the_drawn_sensor_is_bent_and_dented_as_the_simulated_one() -> None:
     assert GelShape.from_design(with_outline(short, uniform(short, 4))).most == 0.0
 
 
-def test_noise_is_not_drawn_again() -> None:
+def test_noise_is_not_drawn_again_and_a_bad_channel_begins_with_its_first_good_value():
     drawing = GelDrawing.from_design(DESIGN)
     first = drawing.points(10.0, [(0.05, 0.03, float("nan"))])
     assert drawing.points(10.1, [(0.0505, 0.03, float("nan"))]) is first
@@ -159,9 +159,6 @@ def test_noise_is_not_drawn_again() -> None:
     assert drawing.points(10.5, []) != moved
     places = decoded(base64.b64decode(drawing.points(0.0, [])), drawing.unit)
     assert np.allclose(places, drawing.shape.body.points, atol=drawing.unit)
-
-
-def test_a_channel_that_was_bad_at_first_is_compared_with_its_first_good_value():
     status = np.zeros(28, np.uint8)
     status[3] = 8
     values = np.full(28, 500.0)

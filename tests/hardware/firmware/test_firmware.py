@@ -83,7 +83,7 @@ def test_a_configuration_that_cannot_be_does_not_boot(changes):
 # ---- requests ----
 
 
-def test_requests_may_be_repeated():
+def test_requests_may_be_repeated_stop_a_frame_and_wait_for_the_line():
     board = booted()
     assert ask(board, Start(2), 4) == ask(board, Start(2), 4) == [Ack(4, MessageType.START)]
     board.frame()
@@ -93,9 +93,6 @@ def test_requests_may_be_repeated():
         numbers += [message.number for message in messages(board.frame())]
     assert numbers == [1, 2]
     assert ask(board, Stop(), 5) == ask(board, Stop(), 5) == [Ack(5, MessageType.STOP)]
-
-
-def test_stop_ends_the_frame_that_is_being_measured():
     board = booted()
     board.receive(encode(pack(Start(0), 1)))
     board.frame()
@@ -106,6 +103,13 @@ def test_stop_ends_the_frame_that_is_being_measured():
     assert frame.number == 1
     assert not frame.status.any()
     assert not board.afe.complaints
+    board = booted()
+    board.line = 0
+    asked = b"".join(encode(pack(GetTable(), seq)) for seq in range(40))  # 5 kB of answers
+    board.hear(asked)
+    assert board.poll(200) == b""
+    board.line = None
+    assert messages(board.receive(b"")) == [Table.from_protocol(PROTOCOL)] * 40
 
 
 # ---- a bad line ----
@@ -156,16 +160,6 @@ def test_no_bytes_break_it_and_only_whole_requests_are_answered():
     expected = [Info] + [expected_answer(packet) for packet in Decoder().feed(stream)]
     assert len(expected) > 1000
     assert answers == expected
-
-
-def test_requests_wait_while_their_answers_cannot_be_sent():
-    board = booted()
-    board.line = 0
-    asked = b"".join(encode(pack(GetTable(), seq)) for seq in range(40))  # 5 kB of answers
-    board.hear(asked)
-    assert board.poll(200) == b""
-    board.line = None
-    assert messages(board.receive(b"")) == [Table.from_protocol(PROTOCOL)] * 40
 
 
 # ---- firmware packets ----

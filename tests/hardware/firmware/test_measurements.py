@@ -1,29 +1,37 @@
-"""Firmware in C: measurements through the AD5940, and their status."""
+"""Firmware in C: measurements through the AD5940, their status, and large frames."""
 
 import numpy as np
 import pytest
 
-from eitskin.hardware.protocol.frame_parts import FrameData
+from eitskin.hardware.protocol.frame_parts import PER_PACKET, FrameData, FramePart
 from eitskin.hardware.protocol.messages import (
     Ack,
     AckStatus,
     Calibrate,
     Event,
+    GetTable,
+    Hello,
     Start,
+    Stop,
+    TablePart,
     pack,
+    unpack,
 )
-from eitskin.hardware.protocol.packets import MessageType, encode
-from eitskin.simulator import Status
+from eitskin.hardware.protocol.packets import Decoder, MessageType, Packet, encode
+from eitskin.simulator import Protocol, Status
 from eitskin.simulator.instrument.ad5940 import CODES, FrontEnd
 
 from compiled_firmware import (
+    CompiledFirmware,
     ask,
     booted,
     compiled_board,
+    config,
     frames,
     messages,
 )
-from loopback import FLAT, PROTOCOL
+from loopback import FLAT, PROTOCOL, connected, take
+from simulated_afe import SimulatedAfe
 
 ABSENCE = Event(2, 1, "no AD5940 answers: check its SPI and its supply")
 
@@ -81,15 +89,7 @@ def test_the_resistor_of_an_evaluation_board_will_do(factor):
     within_codes(board, slack=1.2, rcal=10e3)
 
 
-def test_calibration_takes_out_what_the_part_is_off():
-    board = compiled_board()
-    board.afe.rtia_factor = 1.2 * np.exp(0.3j)
-    board.afe.voltage_factor = 0.97 * np.exp(-0.1j)
-    board.boot()
-    within_codes(board, slack=1.3)
-
-
-def test_it_reads_what_the_model_of_the_instrument_reads():
+def test_the_part_is_set_up_calibrated_and_reads_what_the_model_reads():
     front_end = FrontEnd(
         floor=0.0, quantisation=True, clipping=True, excitation=0.607, pga_range=0.9, rtia=200.0
     )
@@ -100,9 +100,6 @@ def test_it_reads_what_the_model_of_the_instrument_reads():
     ratio = frame.impedance / expected
     assert np.abs(ratio - ratio.mean()).max() < 3e-7  # one factor, of the calibration
     assert abs(ratio.mean() - 1.0) < 2e-5
-
-
-def test_the_part_is_set_up_for_40_khz_and_2048_points():
     board = booted()
     frames(board, 1)
     on_rcal, on_sensor = board.afe.seen[:2], board.afe.seen[2:]
@@ -112,6 +109,11 @@ def test_the_part_is_set_up_for_40_khz_and_2048_points():
         assert (setting["points"], setting["range"]) == (2048, 0.9)
     assert not any(setting["on_sensor"] for setting in on_rcal)
     assert all(setting["amplitude"] == pytest.approx(0.607) for setting in on_sensor)
+    board = compiled_board()
+    board.afe.rtia_factor = 1.2 * np.exp(0.3j)
+    board.afe.voltage_factor = 0.97 * np.exp(-0.1j)
+    board.boot()
+    within_codes(board, slack=1.3)
 
 
 @pytest.mark.parametrize("period_us", [296_800, 294_000])  # the second is always late
@@ -176,15 +178,12 @@ def test_a_current_too_small_or_too_large_is_marked(value, expected, measured):
     assert measured is None or impedance == measured
 
 
-def test_codes_at_the_end_of_their_range_are_clipped():
+def test_codes_at_their_end_are_clipped_and_endless_transforms_time_out_alone():
     board = booted(rtia=1)  # 1 kohm: a volt and more for every pair
     board.afe.comparators = False
     (frame,) = frames(board, 1)
     saturated = FLAT < 500.0
     assert (frame.status[saturated] == Status.CLIPPED).all()
-
-
-def test_a_transform_that_never_ends_is_a_timeout_of_that_row_alone():
     board = booted()
     board.afe.stuck = set(PROTOCOL.table[:14])
     for frame in frames(board, 3):  # and no event: they do not add up
@@ -193,7 +192,7 @@ def test_a_transform_that_never_ends_is_a_timeout_of_that_row_alone():
         assert np.allclose(frame.impedance[14:], FLAT[14:], rtol=1e-4)
 
 
-def test_a_part_that_lost_its_registers_is_set_up_again():
+def test_lost_registers_are_set_up_and_a_failed_calibration_tried_again():
     board = booted()
     board.afe.reset()
     board.receive(encode(pack(Start(0), 1)))
@@ -202,6 +201,13 @@ def test_a_part_that_lost_its_registers_is_set_up_again():
     assert (event.level, event.text) == (1, "a frame of DFT timeouts: resetting the AD5940")
     assert (np.abs(good.impedance - FLAT) <= quantisation(FLAT)).all()
     assert (good.number, board.streaming) == (1, True)
+    board = compiled_board()
+    board.afe.rcal = 1e9
+    board.boot()
+    board.afe.rcal = 200.0
+    taken = frames(board, 40)
+    uncalibrated = [bool(frame.status.all()) for frame in taken]
+    assert uncalibrated == [True] * 32 + [False] * 8
 
 
 def test_a_part_that_goes_away_ends_the_stream_and_is_calibrated_when_it_is_back():
@@ -222,11 +228,79 @@ def test_a_part_that_goes_away_ends_the_stream_and_is_calibrated_when_it_is_back
     assert (np.abs(frame.impedance - FLAT) <= 1.2 * quantisation(FLAT)).all()
 
 
-def test_a_calibration_that_failed_is_tried_again():
-    board = compiled_board()
-    board.afe.rcal = 1e9
-    board.boot()
-    board.afe.rcal = 200.0
-    taken = frames(board, 40)
-    uncalibrated = [bool(frame.status.all()) for frame in taken]
-    assert uncalibrated == [True] * 32 + [False] * 8
+# Frames of several packets
+
+
+ADJACENT = Protocol.adjacent(32)
+VALUES = np.linspace(-30.0, 40.0, len(ADJACENT)) + 3j
+PAIRWISE = Protocol.pairwise(16)  # 120 measurements, two packets
+
+
+def board(protocol, values):
+    """Board that measures `values`, with 500 ohm at every drive pair."""
+    transfer = {row[:2] + row[:2]: 500.0 for row in protocol.table}
+    transfer |= dict(zip(protocol.table, values, strict=True))
+    settings = config(protocol.table, period_us=10_600 * len(protocol))
+    settings.n_electrodes = protocol.n_electrodes
+    return CompiledFirmware(SimulatedAfe(transfer.__getitem__), settings)
+
+
+def small():
+    found = board(PAIRWISE, np.linspace(400.0, 800.0, len(PAIRWISE)))
+    found.boot()
+    return found
+
+
+def test_frames_of_several_packets_come_whole_in_order_and_apart():
+    host, port = connected(board(ADJACENT, VALUES))
+    assert host.protocol == ADJACENT
+    assert host.info.n_measurements == 928
+    (frame,) = take(host, 1)
+    assert np.abs(frame.impedance - VALUES).max() < 0.02
+    assert not frame.status.any()
+    assert host.counts.dropped == {}
+    assert not port.firmware.afe.complaints
+    host, port = connected(small())
+    stream = host.frames()
+    next(stream)
+    while not port.waiting:  # the first part of the next frame
+        port.waiting += port.firmware.poll()
+    port.firmware.receive(encode(pack(Stop(), 99)))
+    port.firmware.receive(encode(pack(Start(0), 100)))
+    frame = next(stream)
+    assert frame.impedance.real == pytest.approx(np.linspace(400.0, 800.0, 120), rel=1e-4)
+    assert host.counts.dropped == {"part of an incomplete frame": 1}
+    assert host.lost == 0
+    table = Protocol(ADJACENT.table[: PER_PACKET + 1], 32)
+    values = np.linspace(30.0, 40.0, len(table))
+    _, port = connected(board(table, values))
+    port.firmware.line = 0
+    port.firmware.receive(encode(pack(Start(1), 9)))
+    port.firmware.frame()
+    port.firmware.line = None
+    (first, last) = messages(port.firmware.receive(b""))[1:]
+    assert last.continues(first)
+
+
+def test_parts_name_the_packet_before_them_and_tables_are_asked_for_in_parts():
+    found = small()
+    assert ask(found, Start(1)) == [Ack(1, MessageType.START)]
+    packets = list(Decoder().feed(found.frame()))
+    first, second = map(unpack, packets)
+    assert isinstance(first, FramePart)
+    assert (first.first, first.end, second.first, second.end) == (0, PER_PACKET, PER_PACKET, 120)
+    assert (first.previous, second.previous) == (0, packets[0].checksum)
+    assert second.continues(first)
+    assert first.data.duration == pytest.approx(PER_PACKET * 10.58e-3, rel=0.01)
+    assert second.data.duration == pytest.approx(120 * 10.58e-3, rel=0.01)
+    found = small()
+    part = TablePart(120, 100, PAIRWISE.table[100:])
+    assert ask(found, GetTable(100)) == [part]
+    assert ask(found, GetTable(120), 7) == [Ack(7, MessageType.GET_TABLE, AckStatus.MALFORMED)]
+    assert ask(found, GetTable(), 8) == [Ack(8, MessageType.GET_TABLE, AckStatus.FAILED)]
+    longer = messages(found.receive(encode(Packet(MessageType.GET_TABLE, 9, b"123", 2))))
+    assert longer == [Ack(9, MessageType.GET_TABLE, AckStatus.MALFORMED)]
+    answers = Decoder().feed(found.receive(encode(pack(Hello(), 1))))
+    assert [(packet.version, packet.type) for packet in answers] == [(2, MessageType.INFO)]
+    other = messages(found.receive(encode(Packet(MessageType.HELLO, 9, b"", 2))))
+    assert other == [Ack(9, MessageType.HELLO, AckStatus.UNKNOWN_TYPE)]

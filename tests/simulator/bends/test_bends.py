@@ -53,7 +53,7 @@ def points(n, low=(0.035, 0.0, 0.0), high=(0.115, 0.060, 0.005)):
 
 
 @pytest.mark.slow
-def test_gradient_is_the_derivative_of_positions_and_keeps_volume(bent) -> None:
+def test_gradients_are_derivatives_plates_turn_and_bends_too_far_say_so(bent):
     X = points(200)
     steps = 1e-8 * np.eye(3)
     ends = [bent.positions(X + e) - bent.positions(X - e) for e in steps]
@@ -64,10 +64,6 @@ def test_gradient_is_the_derivative_of_positions_and_keeps_volume(bent) -> None:
     J = np.linalg.det(bent.gradient(points(20_000)))
     assert J.mean() == pytest.approx(1.0, abs=2e-4)
     assert np.sqrt(np.mean((J - 1.0) ** 2)) < 0.005
-
-
-@pytest.mark.slow
-def test_plates_turn_what_they_hold_by_half_the_angle_about_the_axis(bent) -> None:
     half = math.radians(10.0)
     X = np.array([[0.096, 0.0, z] for z in (-0.0035, 0.0085)] + [[0.15, 0.06, 0.0085]])
     x, z = X[:, 0] - 0.075, X[:, 2] - 0.0025 + 0.008
@@ -75,6 +71,11 @@ def test_plates_turn_what_they_hold_by_half_the_angle_about_the_axis(bent) -> No
     assert turned[:, 0] == pytest.approx(x * math.cos(half) + z * math.sin(half), abs=1e-12)
     assert turned[:, 2] == pytest.approx(z * math.cos(half) - x * math.sin(half), abs=1e-12)
     assert turned[:, 1] == pytest.approx(X[:, 1], abs=1e-12)
+    design, stack = plain(0.060, 0.010, 0.010)
+    clamped = ClampedStack(design, Clamp(0.012, 0.0), stack, Grading(6e-3, 0.012, 0.5))
+    with pytest.raises(SolidError, match=r"\d+\.\d deg of 300 deg") as refusal:
+        list(clamped.equilibria([20.0, 300.0]))
+    assert 0.0 < refusal.value.reached < 1.0
 
 
 def layered(length):
@@ -125,21 +126,12 @@ def test_a_wide_plate_bends_in_plane_strain_by_rivlins_flexure() -> None:
     assert C[:, 2, 2] * C[:, 0, 0] == pytest.approx(1.0, abs=0.012)
 
 
-@pytest.mark.slow
-def test_a_bend_too_far_says_how_far_it_got() -> None:
-    design, stack = plain(0.060, 0.010, 0.010)
-    clamped = ClampedStack(design, Clamp(0.012, 0.0), stack, Grading(6e-3, 0.012, 0.5))
-    with pytest.raises(SolidError, match=r"\d+\.\d deg of 300 deg") as refusal:
-        list(clamped.equilibria([20.0, 300.0]))
-    assert 0.0 < refusal.value.reached < 1.0
-
-
 @pytest.fixture(scope="module")
 def short():
     return plain(0.060, 0.012, 0.006)
 
 
-def test_faces_above_are_free_where_only_those_below_are_held(short) -> None:
+def test_faces_above_are_free_and_bonds_that_give_take_moment_away(short):
     design, materials = short
     point = np.array([0.055, 0.003, 0.006])
     moved = {}
@@ -151,10 +143,6 @@ def test_faces_above_are_free_where_only_those_below_are_held(short) -> None:
         assert np.linalg.det(found.gradient(point)) == pytest.approx(1.0, abs=0.02)
     assert moved["both"] == pytest.approx(0.006, abs=1e-12)
     assert abs(moved["bottom"] - 0.006) > 1e-6
-
-
-def test_a_bond_that_gives_takes_moment_away_and_a_stiff_bond_is_rigid(short) -> None:
-    design, materials = short
     moments, energies = [], []
     for compliance in (0.0, 1e-11, 1e-8, 1e-7):
         clamp = Clamp(0.020, 0.004, compliance)
@@ -165,10 +153,6 @@ def test_a_bond_that_gives_takes_moment_away_and_a_stiff_bond_is_rigid(short) ->
     assert energies[1] == pytest.approx(energies[0], rel=1e-3)
     assert all(soft < 0.99 * stiff for stiff, soft in itertools.pairwise(moments[1:]))
     assert all(soft < 0.99 * stiff for stiff, soft in itertools.pairwise(energies[1:]))
-
-
-def test_the_moment_of_a_soft_bond_is_the_slope_of_the_energy(short) -> None:
-    design, materials = short
     stack = ClampedStack(design, Clamp(0.020, 0.004, 1e-7, "bottom"), materials, COARSE)
     low, middle, high = stack.equilibria([9.9, 10.0, 10.1])
     slope = (high.energy - low.energy) / math.radians(0.2)
@@ -212,16 +196,13 @@ def few_angles(monkeypatch, tmp_path):
     return tmp_path
 
 
-def test_bends_at_and_between_the_solved_ones(stack, table) -> None:
+def test_bends_at_and_between_solved_ones_have_derivatives_and_mirrors(stack, table):
     X = nodes(table)
     for direct in stack.equilibria((-15.0, 10.0, 25.0)):
         between = table.bent_layer(direct.angle_deg)
         close = 1e-9 if direct.angle_deg in ANGLES else 5e-6
         assert between.positions(X) == pytest.approx(direct.positions(X), abs=close)
     assert table.bent_layer(0.0).positions(INSIDE) == pytest.approx(INSIDE, abs=1e-12)
-
-
-def test_gradient_is_the_continuous_derivative_of_positions_beyond_the_gel_too(table) -> None:
     layer, steps = table.bent_layer(33.0), 1e-7 * np.eye(3)
     X = INSIDE * np.array([1.02, 1.02, 1.0]) - np.array([0.0006, 0.00012, 0.0])
     ends = [layer.positions(X + e) - layer.positions(X - e) for e in steps]
@@ -235,9 +216,6 @@ def test_gradient_is_the_continuous_derivative_of_positions_beyond_the_gel_too(t
             at[:, axis] = sizes["centre"][axis] + place
             jump = layer.gradient(at + 1e-9 * steps[axis] / 1e-7) - layer.gradient(at)
             assert np.abs(jump).max() < 1e-4
-
-
-def test_left_mirrors_right_and_front_mirrors_back(table) -> None:
     layer, centre = table.bent_layer(25.0), table.sizes["centre"]
     for signs in (np.array([-1.0, 1.0, 1.0]), np.array([1.0, -1.0, 1.0])):
         X = INSIDE - centre

@@ -101,7 +101,7 @@ def test_a_tabulated_press_is_the_coupled_solution(plates, angle, place, depth) 
 
 
 @pytest.mark.slow
-def test_a_quarter_of_the_sheet_stands_for_all(plates) -> None:
+def test_a_quarter_stands_for_all_and_presses_end_flat_within_the_table(plates):
     held, (x, y), depth = plates(10.0), (0.028, 0.013), 5e-4
     field = changed(held, x, y, depth)[0]
     for axis, place in ((0, (SIZE.length - x, y)), (1, (x, SIZE.width - y))):
@@ -110,20 +110,12 @@ def test_a_quarter_of_the_sheet_stands_for_all(plates) -> None:
         signs = np.where(np.arange(3) == axis, -1.0, 1.0)
         other = moved(changed(held, *place, depth)[0])
         assert other == pytest.approx(moved(field, image) * signs, abs=1e-6 * depth)
-
-
-@pytest.mark.slow
-def test_presses_end_with_their_depth_and_go_over_into_flat_ones(plates) -> None:
     held = plates(10.0)
     (deep, sunk), (shallow, less) = (changed(held, 0.030, 0.020, each) for each in (4e-4, 4e-7))
     assert less == pytest.approx(1e-3 * sunk, rel=0.2)
     assert np.abs(moved(shallow)).max() < 2e-3 * np.abs(moved(deep)).max()
     flat, nearly = (changed(plates(each), 0.030, 0.020, 4e-4)[0] for each in (0.0, 1e-3))
     assert moved(nearly) == pytest.approx(moved(flat), abs=1e-3 * np.abs(moved(flat)).max())
-
-
-@pytest.mark.slow
-def test_dents_beyond_the_table_are_refused(plates) -> None:
     for angle, x, depth in ((25.0, 0.02, 1e-4), (0.0, 0.02, 2e-3), (0.0, 0.04, 9e-4)):
         with pytest.raises(ConfigurationError, match="touches on plates are tabulated"):
             changed(plates(angle), x, 0.02, depth)

@@ -66,7 +66,7 @@ def inside(n, low=(0.0, 0.0, 0.0), high=SIZE):
 # Tetrahedra
 
 
-def test_a_quadratic_displacement_is_met_and_goes_on_outside() -> None:
+def test_fields_meet_quadratic_displacements_and_heights_the_highest_face():
     mesh = skfem.MeshTet.init_tensor(*[np.array([0.0, 0.4, 1.0])] * 3)
     corners = mesh.p.T[mesh.t.T]
     middles = np.stack([0.5 * (corners[:, a] + corners[:, b]) for a, b in EDGES], axis=1)
@@ -87,6 +87,11 @@ def test_a_quadratic_displacement_is_met_and_goes_on_outside() -> None:
     expected = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
     assert pytest.approx(expected, abs=1e-12) == F
     assert field.mean_stress(X) == pytest.approx(X @ [1.0, 2.0, 3.0], abs=1e-12)
+    roof = np.array([[[0.0, 0.0, 1.0], [2.0, 0.0, 2.0], [0.0, 1.0, 4.0]]])
+    x, y = places = np.array([[0.2, 1.5, 0.3, 0.0], [0.3, 0.1, 0.6, 1.0]])
+    for faces in (roof, np.concatenate([roof - [0, 0, 5], roof, roof - [0, 0, 1]])):
+        assert heights(faces, places.T) == pytest.approx(1.0 + 0.5 * x + 3.0 * y)
+        assert np.isnan(heights(faces, np.array([[1.5, 0.5], [-0.1, 0.5]]))).all()
 
 
 # Bends
@@ -125,14 +130,6 @@ def few_cells(monkeypatch):
         1e-3 * np.array([0.0, 5.5, 10.0]),
     )
     monkeypatch.setattr(pressed_body, "mesh_body", lambda *_: skfem.MeshTet.init_tensor(*lines))
-
-
-def test_heights_are_those_of_the_highest_face() -> None:
-    roof = np.array([[[0.0, 0.0, 1.0], [2.0, 0.0, 2.0], [0.0, 1.0, 4.0]]])
-    x, y = places = np.array([[0.2, 1.5, 0.3, 0.0], [0.3, 0.1, 0.6, 1.0]])
-    for faces in (roof, np.concatenate([roof - [0, 0, 5], roof, roof - [0, 0, 1]])):
-        assert heights(faces, places.T) == pytest.approx(1.0 + 0.5 * x + 3.0 * y)
-        assert np.isnan(heights(faces, np.array([[1.5, 0.5], [-0.1, 0.5]]))).all()
 
 
 @pytest.mark.usefixtures("few_cells")
@@ -179,7 +176,9 @@ def sim(design):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_cells")
-def test_a_body_is_bent_pressed_and_both(sim, tmp_path, monkeypatch) -> None:
+def test_a_body_is_bent_pressed_and_both_and_refuses_other_scenes(
+    sim, tmp_path, monkeypatch, design
+):
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
     touch = Touch(0.020, 0.010, force=0.5, indenter=Sphere(0.010))
     pressed, bend = Scene(touches=(touch,)), Scene(bend=Bend(10.0))
@@ -194,10 +193,6 @@ def test_a_body_is_bent_pressed_and_both(sim, tmp_path, monkeypatch) -> None:
     assert found.force == 0.5
     assert found.mean_pressure * found.contact_area == pytest.approx(0.5)
     assert 0.0 < found.thinning < 0.3
-
-
-@pytest.mark.slow
-def test_scenes_that_a_body_cannot_have_are_refused(sim, design) -> None:
     beside = Touch(0.050, 0.010, force=1.0, indenter=Sphere(0.002))
     with pytest.raises(ConfigurationError, match="above the body"):
         sim.measure(Scene(touches=(beside,)))

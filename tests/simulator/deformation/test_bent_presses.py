@@ -61,18 +61,14 @@ def pressed(dent, bent) -> Correction:
 
 
 @pytest.mark.slow
-def test_a_press_turns_with_its_sensor(dent) -> None:
+def test_presses_turn_with_their_sensor_and_stretched_stacks_carry_the_force(dent):
+    """Its base is held where the stretch left it; 3 % is the quadrature of the dent."""
     level, turned = pressed(dent, None), pressed(dent, Homogeneous(TURN))
     places = np.random.default_rng(0).uniform((0.0, 0.0, 0.0), (0.050, 0.040, 0.012), (300, 3))
     moved = level.displacement(places)
     size = np.abs(moved).max()
     assert turned.displacement(places) == pytest.approx(moved @ TURN.T, abs=1e-4 * size)
     assert turned.sunk == pytest.approx(level.sunk, rel=1e-4)
-
-
-@pytest.mark.slow
-def test_a_stretched_stack_carries_the_force_along_its_normal(dent) -> None:
-    """Its base is held where the stretch left it; 3 % is the quadrature of the dent."""
     stretched = Homogeneous(TURN @ np.diag([1.15, 1.0, 1.0 / 1.15]))
     frame = ContactFrame.from_bent_top(stretched, X, Y, STACK)
     assert frame.stretches == pytest.approx([1.15, 1.0])
@@ -80,19 +76,6 @@ def test_a_stretched_stack_carries_the_force_along_its_normal(dent) -> None:
     found = stack.correction([DentField(X, Y, PUNCH, dent, frame)])
     upwards = dent.force * TURN[:, 2]
     assert stack.reaction(found) == pytest.approx(upwards, abs=0.03 * dent.force)
-
-
-def test_a_frame_turns_stresses_so_that_forces_keep_their_size() -> None:
-    F = TURN @ np.diag([1.2, 0.9, 0.8])
-    frame = ContactFrame.from_bent_top(Homogeneous(F), X, Y, STACK)
-    assert frame.rotation == pytest.approx(TURN, abs=1e-12)
-    stress = np.random.default_rng(1).normal(size=(3, 3))
-    # On flat faces of unit area across x, y and z lie 0.9, 1.2 and 1.2 x 0.9 of the bent top.
-    assert frame.nominal(stress) == pytest.approx(TURN @ stress * [0.9, 1.2, 1.08])
-    points = np.array([[X, Y, TOP], [X + 0.001, Y, TOP], [X, Y + 0.002, TOP]])
-    assert frame.flatten_points(points) == pytest.approx(
-        Homogeneous(F).positions(points), abs=1e-12
-    )
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +113,7 @@ def unsolved(monkeypatch) -> list[BentStack | None]:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("unsolved")
-def test_the_bent_layer_is_the_bend_away_from_touches(bent_sensor) -> None:
+def test_the_bent_layer_is_the_bend_away_from_touches_with_gradients_of_its_positions(bent_sensor):
     sim, scene = bent_sensor
     both, alone = sim.deformation(scene), sim.deformation(Scene(scene.bend))
     away = np.array([[0.005, 0.030, 0.001], [0.145, 0.010, 0.004]])
@@ -139,12 +122,6 @@ def test_the_bent_layer_is_the_bend_away_from_touches(bent_sensor) -> None:
     sunk = both.positions(under) - alone.positions(under)
     assert sunk[2] < -4e-4
     assert math.hypot(*sunk[:2]) < 1e-6
-
-
-@pytest.mark.usefixtures("unsolved")
-@pytest.mark.slow
-def test_gradients_of_the_bent_layer_are_those_of_its_positions(bent_sensor) -> None:
-    sim, scene = bent_sensor
     layer, h = sim.deformation(scene), 1e-6
     points = np.random.default_rng(2).uniform((0.062, 0.02, 0.0), (0.088, 0.04, 0.005), (40, 3))
     slopes = [
@@ -154,7 +131,7 @@ def test_gradients_of_the_bent_layer_are_those_of_its_positions(bent_sensor) -> 
     assert layer.gradient(points) == pytest.approx(np.stack(slopes, axis=-1), abs=2e-4)
 
 
-def test_the_state_of_a_bend_is_in_equilibrium() -> None:
+def test_bends_are_in_equilibrium_and_frames_turn_stresses_with_their_forces():
     """Its gradient and pressure leave no force on the free nodes of its own mesh."""
     design = dataclasses.replace(DESIGN, support=Plates())
     bent = bend_table.equilibrium(design, Clamp(), MECHANICS, Bend(5.0))
@@ -170,3 +147,13 @@ def test_the_state_of_a_bend_is_in_equilibrium() -> None:
     on_plate = (z < -0.0059) & (x > 0.0199)
     free = ~on_plate & (x > 1e-9) & (y > 1e-9)
     assert np.abs(nodal[free]).max() < 1e-4 * np.abs(nodal[on_plate]).max()
+    F = TURN @ np.diag([1.2, 0.9, 0.8])
+    frame = ContactFrame.from_bent_top(Homogeneous(F), X, Y, STACK)
+    assert frame.rotation == pytest.approx(TURN, abs=1e-12)
+    stress = np.random.default_rng(1).normal(size=(3, 3))
+    # On flat faces of unit area across x, y and z lie 0.9, 1.2 and 1.2 x 0.9 of the bent top.
+    assert frame.nominal(stress) == pytest.approx(TURN @ stress * [0.9, 1.2, 1.08])
+    points = np.array([[X, Y, TOP], [X + 0.001, Y, TOP], [X, Y + 0.002, TOP]])
+    assert frame.flatten_points(points) == pytest.approx(
+        Homogeneous(F).positions(points), abs=1e-12
+    )

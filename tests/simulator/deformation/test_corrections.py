@@ -159,7 +159,7 @@ def test_presses_beyond_the_tables_are_refused(outline, middle, beside) -> None:
 # Pairs
 
 
-def test_pairs_on_other_outlines_are_those_of_a_wide_stack() -> None:
+def test_pairs_and_presses_on_other_outlines_and_bases_are_those_of_wide_stacks():
     """At the same distance the changes are those of the reference but for what its sides add."""
     touches = (0.04, 0.05, DEPTH), (0.065, 0.05, DEPTH)
     table = pair_corrections(design_on(ROUND), MECHANICS, PUNCH)
@@ -169,6 +169,18 @@ def test_pairs_on_other_outlines_are_those_of_a_wide_stack() -> None:
     assert wide[1] == reference[1]
     far = 0.01 + float(table.wide.nodes("axis_distance")[-1])
     assert corrected(table, (0.01, 0.03, DEPTH), (far, 0.03, DEPTH)) == ([], 0.0)
+    flat = [DESIGN, design_on(Polygon(((0.0, 0.0), (0.2, 0.0), (0.1, 0.1)))), design_on(ROUND)]
+    on = [dataclasses.replace(DESIGN, support=each) for each in (Substrate(0.01, 5e3), Plates())]
+    assert all(map(is_tabulable, (*flat, *on)))
+    loose = dataclasses.replace(flat[2], support=Plates())
+    thick = dataclasses.replace(flat[1], encapsulated_thickness=0.06)
+    assert not any(map(is_tabulable, (loose, thick, design_on(Disc(0.010)))))
+    about = Indentations(MECHANICS.stack(DESIGN), MECHANICS, Rigid(), Cylinder(0.052))
+    with pytest.raises(ConfigurationError, match="no room"):
+        solve_disc(about, ROUND.radius, lambda *_: None)
+    for radius, model in ((0.0075, "tabulated"), (0.006, "solved")):
+        touch = Touch(0.075, 0.030, indenter=Cylinder(radius))
+        assert resolve_touch_model((touch,), PressedSensor(DESIGN, MECHANICS)) == model
 
 
 @pytest.mark.parametrize("second", [(0.085, 0.03), (0.068, 0.047), (0.06, 0.045), (0.075, 0.012)])
@@ -208,25 +220,10 @@ def test_weights_of_neighbours_are_those_of_a_quadratic(thickness, modulus) -> N
     assert sum(weights.values()) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_presses_on_an_even_base_are_tabulated_on_outlines_of_some_size() -> None:
-    flat = [DESIGN, design_on(Polygon(((0.0, 0.0), (0.2, 0.0), (0.1, 0.1)))), design_on(ROUND)]
-    on = [dataclasses.replace(DESIGN, support=each) for each in (Substrate(0.01, 5e3), Plates())]
-    assert all(map(is_tabulable, (*flat, *on)))
-    loose = dataclasses.replace(flat[2], support=Plates())
-    thick = dataclasses.replace(flat[1], encapsulated_thickness=0.06)
-    assert not any(map(is_tabulable, (loose, thick, design_on(Disc(0.010)))))
-    about = Indentations(MECHANICS.stack(DESIGN), MECHANICS, Rigid(), Cylinder(0.052))
-    with pytest.raises(ConfigurationError, match="no room"):
-        solve_disc(about, ROUND.radius, lambda *_: None)
-    for radius, model in ((0.0075, "tabulated"), (0.006, "solved")):
-        touch = Touch(0.075, 0.030, indenter=Cylinder(radius))
-        assert resolve_touch_model((touch,), PressedSensor(DESIGN, MECHANICS)) == model
-
-
 # Files
 
 
-def test_names_of_files_depend_on_everything() -> None:
+def test_names_of_files_depend_on_everything_and_stresses_on_the_modulus(shipped):
     harder = dataclasses.replace(MECHANICS, encapsulation=NeoHookean(40e3))
     varied = [
         (DESIGN, MECHANICS, PUNCH),
@@ -244,9 +241,6 @@ def test_names_of_files_depend_on_everything() -> None:
     problems = correction_problems(DESIGN, MECHANICS, PUNCH)
     assert every[0] == {p.kind: p.name for p in problems}
     assert store.missing(problems) == {}
-
-
-def test_stresses_go_with_the_modulus_of_the_gel(shipped) -> None:
     soft = Mechanics(gel=NeoHookean(10e3), encapsulation=NeoHookean(14e3))
     expected, found = (
         total(corrected(each, (0.04, 0.02, DEPTH)), POINTS)

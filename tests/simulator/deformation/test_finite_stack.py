@@ -1,16 +1,38 @@
-"""Finite stack under presses: equilibrium, symmetry, limits, supports and refusals."""
+"""Presses solved in finite stacks, their plans and the grids of sensors."""
 
+import dataclasses
+import math
+
+import elastic_forms
 import numpy as np
 import pytest
 
+from eitskin.config import to_toml
+from eitskin.datasets import Recipe
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Free, Plates, Polygon, Rectangle, Rigid, SensorDesign, Support
-from eitskin.simulator import Cylinder, Mechanics, Sphere
+from eitskin.geometry import (
+    Clamp,
+    Disc,
+    Free,
+    Plates,
+    Polygon,
+    Rectangle,
+    Rigid,
+    SensorDesign,
+    Substrate,
+    Support,
+)
+from eitskin.geometry.design.regular_layouts import uniform
+from eitskin.simulator import Cylinder, Mechanics, SensorGrid, Sphere, Touch
 from eitskin.simulator.deformation import finite_stack
 from eitskin.simulator.deformation.contact import DentField
 from eitskin.simulator.deformation.finite_stack import FiniteStack
+from eitskin.simulator.deformation.pressed_sensor import solved_presses
+from eitskin.simulator.deformation.sensor_grid import OWN_GRID, StackGrid, read_fixed
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
-from eitskin.simulator.mechanics.fitted_plan import Contact
+from eitskin.simulator.mechanics.fitted_plan import Contact, fit_plan, unfit
+from eitskin.simulator.mechanics.layer_stack import Sheet, Stack
+from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.mechanics.stack_mesh import Fineness, StackMesh, _faces, stack_mesh
 
 MECHANICS, PUNCH = Mechanics(), Cylinder()
@@ -44,7 +66,7 @@ def pressed(stack, dents):
     return stack.correction([DentField(X, Y, PUNCH, dents[DEPTH])])
 
 
-def test_boxes_follow_the_sides_of_an_outline_along_x_and_y() -> None:
+def test_boxes_follow_the_sides_and_what_is_held_the_support():
     """Gel and margin have the volumes of the L shape and of its surroundings."""
     end, leg, margin = 0.06, 0.035, MECHANICS.margin
     outline = Polygon(((0, 0), (end, 0), (end, leg), (leg, leg), (leg, end), (0, end)))
@@ -58,10 +80,26 @@ def test_boxes_follow_the_sides_of_an_outline_along_x_and_y() -> None:
     assert volumes[body.gel_cells].sum() == pytest.approx(0.005 * area, rel=1e-9)
     around = (end + 2.0 * margin) ** 2 - (end - leg) ** 2
     assert volumes.sum() == pytest.approx(TOP * around, rel=0.01)  # corners of the margin are round
+    margin = MECHANICS.margin
+    length, width = LENGTH + 2 * margin, WIDTH + 2 * margin
+    sides = 2 * (length + width) * TOP
+    for support, held in (
+        (Rigid(), length * width),
+        (Plates(0.020), (length - 0.020) * width),
+        (Free(), sides),
+    ):
+        body = meshed(support=support)
+        areas = [area(body, face) for face in ("held", "sides", "top")]
+        assert areas == pytest.approx([held, sides, length * width], abs=1e-9)
+    gel = np.array([body.laws[k] == MECHANICS.gel for k in body.law_of_cell])
+    middles = body.mesh.p[:, body.mesh.t].mean(axis=1)
+    away = np.abs(middles - np.array([[LENGTH / 2], [WIDTH / 2], [TOP / 2]]))
+    assert np.array_equal(gel, (away.T < (LENGTH / 2, WIDTH / 2, 0.0025)).all(axis=1))
+    assert np.array_equal(np.flatnonzero(gel), np.sort(body.gel_cells))
 
 
 @pytest.mark.slow
-def test_the_contact_sinks_and_neither_tilts_nor_slides(pressed) -> None:
+def test_contacts_sink_alone_and_neither_tilt_nor_grow_at_cut_cells(pressed, dents):
     radii = np.array([0.0, 0.4, 0.7]) * PUNCH.radius  # springs end a part of a cell inside
     under = np.array([[X + r, Y, TOP] for r in radii] + [[X, Y - r, TOP] for r in radii])
     moved = pressed.displacement(under)
@@ -70,10 +108,16 @@ def test_the_contact_sinks_and_neither_tilts_nor_slides(pressed) -> None:
     assert np.abs(moved[:, :2]).max() < 0.1 * pressed.sunk[0]
     beyond = pressed.displacement(np.array([[0.040, 0.030, TOP]]))
     assert np.linalg.norm(beyond) > 0.1 * pressed.sunk[0]
+    finer = FiniteStack(meshed(rims=0.25)).correction([DentField(X, Y, PUNCH, dents[DEPTH])])
+    beside = np.random.default_rng(0).uniform((0.003, 0, 0.004), (0.035, 0.0045, 0.008), (400, 3))
+    found, expected = (each.displacement.derivative(beside) for each in (pressed, finer))
+    # Held up to the rim, they take 1.4 % from the strain beside the contact.
+    assert np.vdot(found, expected) / np.vdot(expected, expected) == pytest.approx(1.0, abs=0.005)
+    assert pressed.sunk == pytest.approx(finer.sunk, rel=0.012)
 
 
 @pytest.mark.slow
-def test_a_contact_takes_back_the_dent_of_another(dents) -> None:
+def test_contacts_take_back_the_dents_of_others_also_smaller_than_a_cell(dents):
     places = (0.015, 0.034)
     contacts = [Contact(x, Y, PUNCH.radius) for x in places]
     outline, coarse = Rectangle(LENGTH, WIDTH), Fineness(ends=0.0, sides=0.0, layers=1)
@@ -86,20 +130,6 @@ def test_a_contact_takes_back_the_dent_of_another(dents) -> None:
     moved = beside + found.displacement(under)
     assert moved[:, 2] == pytest.approx(np.full(3, -found.sunk[0]), abs=2e-3 * DEPTH)
     assert np.abs(moved[:, :2]).max() < 0.15 * np.abs(beside).max()
-
-
-@pytest.mark.slow
-def test_cells_that_the_rim_of_a_contact_cuts_do_not_make_it_larger(pressed, dents) -> None:
-    finer = FiniteStack(meshed(rims=0.25)).correction([DentField(X, Y, PUNCH, dents[DEPTH])])
-    beside = np.random.default_rng(0).uniform((0.003, 0, 0.004), (0.035, 0.0045, 0.008), (400, 3))
-    found, expected = (each.displacement.derivative(beside) for each in (pressed, finer))
-    # Held up to the rim, they take 1.4 % from the strain beside the contact.
-    assert np.vdot(found, expected) / np.vdot(expected, expected) == pytest.approx(1.0, abs=0.005)
-    assert pressed.sunk == pytest.approx(finer.sunk, rel=0.012)
-
-
-@pytest.mark.slow
-def test_a_contact_smaller_than_a_cell_is_held() -> None:
     ball = Sphere(0.0075)
     dent = AxisymmetricPress(STACK, ball, ball.radius / 10).to_depth(2e-4)
     body = meshed()
@@ -109,15 +139,12 @@ def test_a_contact_smaller_than_a_cell_is_held() -> None:
     assert under == pytest.approx(-found.sunk[0], rel=0.1)
 
 
-def test_a_dent_is_smooth_across_its_axis(dents) -> None:
+def test_dents_are_smooth_and_stacks_beyond_the_memory_refused(dents, monkeypatch):
     field = DentField(X, Y, PUNCH, dents[DEPTH])
     on, beside = (field.evaluate(np.array([[X + away, Y, 0.006]]))[1][0] for away in (0.0, 1e-6))
     assert on == pytest.approx(beside, abs=1e-4)
     assert on[0, 0] == pytest.approx(on[1, 1], rel=1e-3)
     assert np.linalg.det(np.eye(3) + on) == pytest.approx(1.0, abs=0.01)
-
-
-def test_a_stack_that_needs_too_much_memory_is_refused(monkeypatch) -> None:
     monkeypatch.setattr(finite_stack, "_MAX_UNKNOWNS", 5_000)
     with pytest.raises(ConfigurationError, match=r"needs \d+ unknowns, of which 5000"):
         FiniteStack(meshed())
@@ -150,20 +177,163 @@ def area(body: StackMesh, face: str) -> float:
     return float(np.sort(np.ptp(corners, axis=1), axis=0)[1:].prod(axis=0).sum())
 
 
-def test_what_is_held_and_what_is_free_follows_the_support() -> None:
-    margin = MECHANICS.margin
-    length, width = LENGTH + 2 * margin, WIDTH + 2 * margin
-    sides = 2 * (length + width) * TOP
-    for support, held in (
-        (Rigid(), length * width),
-        (Plates(0.020), (length - 0.020) * width),
-        (Free(), sides),
-    ):
-        body = meshed(support=support)
-        areas = [area(body, face) for face in ("held", "sides", "top")]
-        assert areas == pytest.approx([held, sides, length * width], abs=1e-9)
-    gel = np.array([body.laws[k] == MECHANICS.gel for k in body.law_of_cell])
-    middles = body.mesh.p[:, body.mesh.t].mean(axis=1)
-    away = np.abs(middles - np.array([[LENGTH / 2], [WIDTH / 2], [TOP / 2]]))
-    assert np.array_equal(gel, (away.T < (LENGTH / 2, WIDTH / 2, 0.0025)).all(axis=1))
-    assert np.array_equal(np.flatnonzero(gel), np.sort(body.gel_cells))
+# Grids of sensors and substrates
+
+
+GRID = SensorGrid(0.005, 1.4, 0.04, 0.008)
+
+
+def test_designs_and_recipes_of_version_02_are_read_with_their_grid(tmp_path):
+    fixture, mechanics = tmp_path / "fixture.toml", tmp_path / "mechanics.toml"
+    fixture.write_text("span = 0.041\nsolved_span = 0.04\nsolved_offset = 0.008\n")
+    mechanics.write_text("margin = 0.004\nsolved_thickness = 0.005\nsolved_ratio = 1.4\n")
+    assert read_fixed(fixture, mechanics) == (Clamp(0.041), Mechanics(margin=0.004), GRID)
+    assert read_fixed(None, None) == (Clamp(), Mechanics(), SensorGrid())
+    mechanics.write_text(f"{to_toml(Mechanics())}\n[grid]\n{to_toml(GRID)}")
+    assert read_fixed(None, mechanics) == (Clamp(), Mechanics(), GRID)
+    mechanics.write_text("[grid]\nratio = 0.0\n")
+    with pytest.raises(ConfigurationError, match="ratio"):
+        read_fixed(None, mechanics)
+    path = tmp_path / "old.toml"
+    path.write_text(
+        'name = "old"\nscenes = [{ state = "idle", count = 1 }]\n'
+        "[fixture]\nspan = 0.041\nsolved_span = 0.04\n[mechanics]\nsolved_thickness = 0.005\n"
+    )
+    recipe = Recipe.from_toml(path)
+    assert recipe.grid == SensorGrid(thickness=0.005, span=0.04)
+    made = recipe.nominal(0)
+    assert (made.fixture, made.grid) == (Clamp(0.041), GRID)
+    path.write_text(recipe.to_toml())
+    assert Recipe.from_toml(path) == recipe
+    for old in (lambda: Mechanics(solved_thickness=0.005), lambda: Clamp(solved_span=0.04)):
+        with pytest.warns(DeprecationWarning, match="SensorGrid"):
+            assert old() in (Mechanics(), Clamp())
+
+
+DESIGN = SensorDesign.reference()
+SOFT = Substrate(0.010, 5e3)
+
+
+def on(support: Support) -> Stack:
+    return Mechanics().stack(dataclasses.replace(DESIGN, support=support))
+
+
+def test_a_substrate_is_the_lowest_layer_interpolated_between_solved_moduli():
+    """By four of them; the weights add up to one and reproduce a cubic."""
+    found, rigid = on(SOFT), on(Rigid())
+    assert found.sheets == (Sheet(0.010, NeoHookean(5e3)), *rigid.sheets)
+    assert (found.gel, rigid.gel) == (2, 1)
+    bare = dataclasses.replace(DESIGN, encapsulated_thickness=0.005)
+    assert Mechanics().stack(bare).gel == 0
+    assert Mechanics().stack(dataclasses.replace(bare, support=SOFT)).gel == 1
+    design = dataclasses.replace(DESIGN, support=Substrate(0.010, 6e3))
+    needed = list(StackGrid.from_design(design, Mechanics(), OWN_GRID).full_weights())
+    moduli = [stack.sheets[0].law.shear_modulus for stack, _ in needed]
+    assert moduli == pytest.approx([20e3 * 2.0 ** (k / 2) for k in (-5, -4, -3, -2)])
+    assert all(stack.sheets[1:] == on(Rigid()).sheets for stack, _ in needed)
+    for power in range(4):
+        found = sum(np.log(mu) ** power * w for mu, (_, w) in zip(moduli, needed, strict=True))
+        assert found == pytest.approx(np.log(6e3) ** power, rel=1e-9)
+
+
+@pytest.mark.parametrize("support", [SOFT, Substrate(0.005, 1e6)])
+def test_small_presses_are_those_of_linear_layers(support) -> None:
+    """Smooth punch: its own pressure on the layers by Hankel transform gives its displacements."""
+    stack, force = on(support), 1e-3
+    found = AxisymmetricPress(stack, Cylinder(rough=False), 0.0075 / 8).to_force(force)
+    sheets = [(sheet.thickness, sheet.law.shear_modulus) for sheet in stack.sheets]
+    acting = np.trapezoid(2.0 * np.pi * found.radii * found.pressure, found.radii)
+    heights = stack.levels[1:3]
+    expected = elastic_forms.layered_deflection(
+        sheets, heights, 0.0075, found.radii, found.pressure * force / acting
+    )
+    rows = np.searchsorted(found.z, np.array(heights) - 1e-9)
+    assert -found.displacement[0, rows, 1] == pytest.approx(expected, rel=0.01)
+
+
+# Plans fitted to outlines
+
+
+MARGIN, CELL = 0.005, 0.0045
+TURN = math.radians(30.0)
+ROTATION = np.array([[math.cos(TURN), -math.sin(TURN)], [math.sin(TURN), math.cos(TURN)]])
+
+
+def turned(length, width):
+    """A rectangle turned by 30 degrees, and where its first corner is [m]."""
+    points = np.array([[0.0, 0.0], [length, 0.0], [length, width], [0.0, width]]) @ ROTATION.T
+    first = -points.min(axis=0)
+    return Polygon(tuple(map(tuple, (points + first).tolist()))), first
+
+
+def plan_of(outline, margin=MARGIN):
+    lines = [
+        np.linspace(-margin, extent + margin, round((extent + 2 * margin) / CELL))
+        for extent in (outline.length, outline.width)
+    ]
+    return fit_plan(outline, tuple(lines), margin, 0.012, [Contact(0.02, 0.02, 0.002)])
+
+
+def areas(points, quads):
+    x, y = points[quads].transpose(2, 0, 1)
+    return 0.5 * (x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y).sum(axis=1)
+
+
+SHAPES = {
+    "turned": (turned(0.06, 0.04)[0], 0.06 * 0.04, MARGIN * 0.2 + 4 * MARGIN**2),
+    "triangle": (Polygon(((0.0, 0.0), (0.06, 0.0), (0.03, 0.05))), 1.5e-3, None),
+    "arrow": (Polygon(((0.0, 0.0), (0.04, 0.02), (0.08, 0.0), (0.04, 0.06))), 1.6e-3, None),
+    "disc": (Disc(0.03), math.pi * 9e-4, math.pi * (0.035**2 - 9e-4)),
+}
+
+
+@pytest.mark.parametrize(("outline", "gel", "ring"), SHAPES.values(), ids=SHAPES)
+def test_cells_of_gel_and_margin_cover_both(outline, gel, ring) -> None:
+    plan = plan_of(outline)
+    size = areas(plan.points, plan.quads)
+    assert size.min() > 0.0
+    # Chords of the disc between nodes leave out a little.
+    assert size[: plan.gel_quads].sum() == pytest.approx(
+        gel, rel=5e-3 if ring and gel > 2.5e-3 else 1e-9
+    )
+    if ring:
+        assert size[plan.gel_quads :].sum() == pytest.approx(ring, rel=1e-2)
+
+
+def test_grids_find_their_places_and_refuse_parts_narrower_than_cells():
+    outline, first = turned(0.06, 0.04)
+    plan = plan_of(outline)
+    points = np.random.default_rng(0).uniform((0.0, 0.0, 0.0), (0.06, 0.04, 0.01), (500, 3))
+    points[:, :2] = points[:, :2] @ ROTATION.T + first
+    places, slope = unfit(plan.shift, points)
+    assert places[:, :2] + plan.shift(places) == pytest.approx(points[:, :2], abs=1e-9)
+    step = np.array([1e-8, 0.0, 0.0])
+    change = (unfit(plan.shift, points + step)[0] - unfit(plan.shift, points - step)[0]) / 2e-8
+    assert np.median(np.abs(change - slope[..., 0])) < 1e-6  # but for points at edges of cells
+    hourglass = Polygon(
+        ((0.0, 0.0), (0.06, 0.0), (0.0284, 0.03), (0.06, 0.06), (0.0, 0.06), (0.028, 0.03))
+    )
+    with pytest.raises(ConfigurationError, match="narrower than the cells"):
+        plan_of(hourglass)
+
+
+@pytest.mark.slow
+def test_a_press_does_not_depend_on_how_the_sensor_lies() -> None:
+    # Stairs in place of the sides were 30 % off.
+    reference = SensorDesign.reference()
+    straight, (outline, first) = Rectangle(0.06, 0.04), turned(0.06, 0.04)
+    place = np.array([0.025, 0.015])
+    fields = []
+    for shape, rotation, origin in ((straight, np.eye(2), np.zeros(2)), (outline, ROTATION, first)):
+        design = dataclasses.replace(reference, outline=shape, electrodes=uniform(shape, 8))
+        x, y = (rotation @ place + origin).tolist()
+        correction = solved_presses(design, Mechanics(), (Touch(x, y, depth=0.002),))
+        grid = np.stack(
+            np.meshgrid([0.001, 0.02, 0.04, 0.059], [0.001, 0.02, 0.039], [0.001, 0.004]), -1
+        )
+        points = grid.reshape(-1, 3)
+        points[:, :2] = points[:, :2] @ rotation.T + origin
+        moved = correction.in_gel(points)[:, :3]
+        fields.append(np.column_stack([moved[:, :2] @ rotation, moved[:, 2]]))
+    error = np.linalg.norm(fields[1] - fields[0]) / np.linalg.norm(fields[0])
+    assert error < 0.08

@@ -44,7 +44,7 @@ def correct(outline, table, x, y, depth=DEPTH):
     return corrected(Corrections(design_on(outline), (), table, ((table, 1.0),)), (x, y, depth))
 
 
-def test_a_corner_at_which_a_side_goes_straight_on_changes_nothing(table) -> None:
+def test_corrections_turn_with_the_outline_and_no_straight_corner_changes_them(table):
     plain, place = Rectangle(0.15, 0.06), (0.06, 0.01)
     divided = Polygon(((0, 0), (0.07, 0), (0.15, 0), (0.15, 0.06), (0.08, 0.06), (0, 0.06)))
     expected, found = (
@@ -52,9 +52,6 @@ def test_a_corner_at_which_a_side_goes_straight_on_changes_nothing(table) -> Non
     )
     scale = np.abs(expected).max(axis=0)
     assert found / scale == pytest.approx(expected / scale, abs=1e-9)
-
-
-def test_a_turned_outline_has_the_turned_correction(table) -> None:
     cos, sin = math.cos(0.5), math.sin(0.5)
     turn = np.array([[cos, -sin], [sin, cos]])
     corners = L_SHAPE.vertices @ turn.T
@@ -68,7 +65,7 @@ def test_a_turned_outline_has_the_turned_correction(table) -> None:
     assert found == pytest.approx(expected, rel=1e-6, abs=1e-12)
 
 
-def test_slopes_near_a_re_entrant_corner_are_those_of_the_displacement(table) -> None:
+def test_corrections_are_continuous_with_slopes_also_near_re_entrant_corners(table):
     fields, _ = correct(L_SHAPE, table, 0.043, 0.057)
     points = np.array([[0.047, 0.051, 0.002], [0.045, 0.045, 0.004], [0.055, 0.047, 0.001]])
     for field, axis in itertools.product(fields, (0, 1)):
@@ -79,11 +76,16 @@ def test_slopes_near_a_re_entrant_corner_are_those_of_the_displacement(table) ->
         )
         slopes = here[3:].reshape(3, 3, 1, -1)[:, axis]
         assert (ahead - behind)[:3] / 2e-6 == pytest.approx(slopes, rel=1e-4, abs=1e-7)
-
-
-def test_the_correction_is_continuous_where_a_press_passes_the_line_of_a_side(table) -> None:
     before, after = (total(correct(L_SHAPE, table, 0.03, 0.05 + y), POINTS) for y in (-1e-7, 1e-7))
     assert np.abs(after - before).max() < 1e-4 * np.abs(before).max()
+    far, near = (
+        pressed_touches((Touch(x, y, 4.0),), PressedSensor(DESIGN, MECHANICS))[0]
+        for x, y in ((0.025, 0.025), (0.043, 0.043))
+    )
+    assert far.signal_error is not None
+    assert not far.caution
+    assert near.signal_error is None
+    assert "re-entrant" in near.caution
 
 
 def test_a_table_on_the_nodes_of_another_is_the_same_field(table) -> None:
@@ -101,17 +103,6 @@ def test_a_table_on_the_nodes_of_another_is_the_same_field(table) -> None:
         for each in (table, finer)
     )
     assert np.abs(found - expected).max() < 0.01 * np.abs(expected).max()
-
-
-def test_presses_near_a_re_entrant_corner_come_with_a_caution() -> None:
-    far, near = (
-        pressed_touches((Touch(x, y, 4.0),), PressedSensor(DESIGN, MECHANICS))[0]
-        for x, y in ((0.025, 0.025), (0.043, 0.043))
-    )
-    assert far.signal_error is not None
-    assert not far.caution
-    assert near.signal_error is None
-    assert "re-entrant" in near.caution
 
 
 def test_a_rectangle_given_as_a_polygon_is_pressed_as_the_rectangle() -> None:

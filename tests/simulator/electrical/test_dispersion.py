@@ -39,16 +39,13 @@ PLACES = ((0.01, 0.0), (0.04, 0.01), (0.03, 0.02), (0.0, 0.01))
 SMALL = SensorDesign(OUTLINE, 0.004, tuple(Electrode(*at, 0.01) for at in PLACES), MUSCLE)
 
 
-def test_muscle_has_its_published_conductivity_and_permittivity() -> None:
+def test_muscle_has_its_published_values_and_a_bar_the_spectrum_of_its_conductivity():
+    """L / (sigma A) + 2 z / A; two sheets, of which one has a table, are side by side."""
     for frequency, sigma, permittivity in ((1e4, 0.34083, 25909), (1e5, 0.36185, 8089.2)):
         value = MUSCLE.evaluate(frequency)
         assert value.real == pytest.approx(sigma, rel=1e-4)
         permittivity_found = value.imag / (2 * np.pi * frequency * 8.8541878e-12)
         assert permittivity_found == pytest.approx(permittivity, rel=1e-4)
-
-
-def test_a_bar_between_plates_has_the_spectrum_of_its_conductivity() -> None:
-    """L / (sigma A) + 2 z / A; two sheets, of which one has a table, are side by side."""
     table = ConductivityTable((1e3, 1e6), (0.4, 0.6 + 0.2j))
     ends = (Electrode(0.0, 0.02, 0.04), Electrode(0.1, 0.02, 0.04))
     design = SensorDesign(Rectangle(0.1, 0.04), 0.005, ends, MUSCLE)
@@ -62,6 +59,17 @@ def test_a_bar_between_plates_has_the_spectrum_of_its_conductivity() -> None:
             if sensor is sheets:
                 sigma = 0.4 * sigma + 0.6 * table.evaluate(frequency)
             assert pair.measure(matrix)[0] == pytest.approx(0.1 / sigma / area, rel=1e-5)
+    for make in (
+        lambda: ColeCole(0.5, (1e3,), ()),
+        lambda: ColeCole(0.5, (1e3,), (1e-6,), (1.0,)),
+        lambda: ConductivityTable((1e4, 1e3), (1.0, 1.0)),
+        lambda: ConductivityTable((1e3,), (-1.0 + 1j,)),
+        lambda: ConductivityTable((1e3, 1e4), (1.0, 1.0)).evaluate(1e5),
+        lambda: dataclasses.replace(SMALL, conductivity=-1.0 + 1j),
+        lambda: ForwardModel(SMALL, "coarse").impedance(frequency=-1.0),
+    ):
+        with pytest.raises(ConfigurationError):
+            make()
 
 
 def test_all_ways_to_frames_are_linear_in_the_conductivity(tmp_path: Path) -> None:
@@ -91,20 +99,6 @@ def test_all_ways_to_frames_are_linear_in_the_conductivity(tmp_path: Path) -> No
     flat = simulator.measure(Scene(), frequency=1e6).impedance
     assert data.frequency == 1e6
     assert np.asarray(data.impedance[0]) == pytest.approx(flat, rel=1e-6)
-
-
-def test_what_no_material_has_is_refused() -> None:
-    for make in (
-        lambda: ColeCole(0.5, (1e3,), ()),
-        lambda: ColeCole(0.5, (1e3,), (1e-6,), (1.0,)),
-        lambda: ConductivityTable((1e4, 1e3), (1.0, 1.0)),
-        lambda: ConductivityTable((1e3,), (-1.0 + 1j,)),
-        lambda: ConductivityTable((1e3, 1e4), (1.0, 1.0)).evaluate(1e5),
-        lambda: dataclasses.replace(SMALL, conductivity=-1.0 + 1j),
-        lambda: ForwardModel(SMALL, "coarse").impedance(frequency=-1.0),
-    ):
-        with pytest.raises(ConfigurationError):
-            make()
 
 
 def impedances_by_boxes(sigma: tuple[complex, complex], part: np.ndarray) -> np.ndarray:

@@ -63,8 +63,20 @@ def test_a_disc_meets_its_integral_equation() -> None:
     assert pytest.approx(exact, abs=1e-3 * np.abs(exact).max()) == Z
 
 
-def test_groups_and_regions_of_files_are_taken_by_their_names() -> None:
+def test_files_are_read_by_meshio_with_their_groups_and_regions(tmp_path):
     """As meshio has them from gmsh, with a point that no cell has, and from VTK without names."""
+    meshio = pytest.importorskip("meshio")
+    points, cells, electrodes = disc(6, 4)
+    edges = np.vstack([np.stack([e[:-1], e[1:]], axis=1) for e in electrodes])
+    tags = np.repeat(np.arange(ELECTRODES) + 1, 4)
+    meshio.Mesh(
+        np.pad(points, ((0, 0), (0, 1))),
+        [("triangle", cells), ("line", edges)],
+        cell_data={"electrode": [np.zeros(len(cells), int), tags]},
+    ).write(tmp_path / "disc.vtu")
+    Z = ForwardModel.from_mesh(tmp_path / "disc.vtu", contact_impedance=0.05).impedance()
+    given = ForwardModel.from_mesh((points, cells), electrodes, contact_impedance=0.05).impedance()
+    assert pytest.approx(given) == Z
     grid = skfem.MeshTri.init_tensor(np.linspace(0, 1, 5), np.linspace(0, 1, 5))
     left, right = (
         grid.facets[:, grid.facets_satisfying(f)].T
@@ -84,21 +96,6 @@ def test_groups_and_regions_of_files_are_taken_by_their_names() -> None:
     assert np.isnan(model.potentials()[0]).all()
     with pytest.raises(ConfigurationError, match=r"no region 'bone'.*soft, hard"):
         ForwardModel.from_mesh(read, ["8", "left"], {"bone": 1.0})
-
-
-def test_files_are_read_by_meshio(tmp_path) -> None:
-    meshio = pytest.importorskip("meshio")
-    points, cells, electrodes = disc(6, 4)
-    edges = np.vstack([np.stack([e[:-1], e[1:]], axis=1) for e in electrodes])
-    tags = np.repeat(np.arange(ELECTRODES) + 1, 4)
-    meshio.Mesh(
-        np.pad(points, ((0, 0), (0, 1))),
-        [("triangle", cells), ("line", edges)],
-        cell_data={"electrode": [np.zeros(len(cells), int), tags]},
-    ).write(tmp_path / "disc.vtu")
-    Z = ForwardModel.from_mesh(tmp_path / "disc.vtu", contact_impedance=0.05).impedance()
-    given = ForwardModel.from_mesh((points, cells), electrodes, contact_impedance=0.05).impedance()
-    assert pytest.approx(given) == Z
 
 
 @pytest.mark.parametrize(
@@ -195,7 +192,7 @@ def test_a_small_ball_has_the_signal_of_its_dipole() -> None:
     assert change == pytest.approx(expected, rel=0.03)
 
 
-def test_no_cell_crosses_the_rim_of_an_inclusion() -> None:
+def test_inclusions_have_cells_of_their_own_and_impossible_ones_are_refused():
     outline = Polygon(((0, 0), (0.1, 0), (0.1, 0.03), (0.03, 0.03), (0.03, 0.1), (0, 0.1)))
     design = SensorDesign(outline, HEIGHT, uniform(outline, 8))
     triangle = Polygon(((0, 0), (0.012, 0), (0.006, 0.01)))
@@ -211,9 +208,6 @@ def test_no_cell_crosses_the_rim_of_an_inclusion() -> None:
         assert ((depth > -1e-9).all(axis=1) | (depth < 1e-9).all(axis=1)).all()
     values = model._conductivity(None)[:, 0, 0]
     assert set(values.tolist()) == {1.0, 2.0, 3.0, 4.0 + 1.0j}
-
-
-def test_inclusions_that_no_mesh_can_have_are_refused() -> None:
     outline = Rectangle(0.1, 0.05)
     slab = SensorDesign(outline, HEIGHT, uniform(outline, 8))
     part = Inclusion.box(0.05, 0.025, 0.01, 0.01, 2.0)
@@ -234,9 +228,6 @@ def test_inclusions_that_no_mesh_can_have_are_refused() -> None:
     ):
         with pytest.raises(ConfigurationError, match=message):
             make()
-
-
-def test_a_field_that_jumps_within_cells_says_so() -> None:
     model = ForwardModel(ROUND, COARSE)
     with pytest.warns(UserWarning, match="Inclusion"):
         model.impedance(lambda x: np.where(x[..., 0] > 0.043, 2.0, 1.0))

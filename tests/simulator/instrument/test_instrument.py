@@ -1,4 +1,4 @@
-"""The instrument: each term alone against its closed form, then all of them together."""
+"""Instruments: each term by itself, and the gel that drifts with them."""
 
 import dataclasses
 
@@ -7,8 +7,22 @@ import pytest
 from scipy.stats import truncnorm
 
 from eitskin.errors import ConfigurationError, FrameError
-from eitskin.simulator import Instrument, Protocol, Status
+from eitskin.geometry import SensorDesign
+from eitskin.hardware import Script, Step
+from eitskin.simulator import (
+    ForwardModel,
+    Instrument,
+    Protocol,
+    Scene,
+    Simulator,
+    Status,
+    Touch,
+    age_gel,
+)
+from eitskin.simulator.instrument.gel import DAY, WARMING_TIME
 from eitskin.simulator.instrument.session import DRIFT_TIME, RandomWalk
+from eitskin.simulator.mechanics.touch_history import held_touches, recall_touches
+from eitskin.simulator.mechanics.viscoelasticity import REFERENCE, Prony, elastic_force
 
 PAIRS = Protocol.pairwise(8)
 FLAT = np.linspace(480.0, 850.0, 28).astype(complex)
@@ -33,7 +47,7 @@ def read(instrument, impedance=FLAT, *, seed=0, time=0.0, protocol=PAIRS):
     return Z, status
 
 
-def test_with_every_term_off_nothing_changes():
+def test_without_terms_nothing_changes_and_noise_is_below_full_scale_in_quadratures():
     Z = FLAT * np.exp(-0.3j)
     measured, status = read(OFF, Z, time=1e6)
     np.testing.assert_array_equal(measured, Z)
@@ -46,12 +60,6 @@ def test_with_every_term_off_nothing_changes():
     off = {name for name in Instrument.__slots__ if getattr(board, name) == getattr(OFF, name)}
     gel = {"gel_drift", "gel_warming", "gel_drying"}
     assert off == gel | {"excitation", "pga_range", "rtia", "meter"}
-
-
-# ---- noise ----
-
-
-def test_white_noise_lies_below_full_scale_in_both_quadratures():
     frames = np.tile(FLAT, (1000, 1))
     session = started(only(snr_db=60.0))
     noise = session.measure(frames, np.zeros(1000), np.random.default_rng(3))[0] - FLAT
@@ -60,9 +68,6 @@ def test_white_noise_lies_below_full_scale_in_both_quadratures():
     assert noise.real.std() == pytest.approx(expected, rel=0.017)
     assert noise.imag.std() == pytest.approx(expected, rel=0.017)
     assert abs(np.corrcoef(noise.real.ravel(), noise.imag.ravel())[0, 1]) < 0.024
-
-
-def test_floor_is_a_voltage_over_the_current():
     excitation = 0.015
     session = started(only(floor=1.9e-6, excitation=excitation))
     frames = np.tile(FLAT, (2000, 1))
@@ -75,13 +80,21 @@ def test_floor_is_a_voltage_over_the_current():
 # ---- drift ----
 
 
-def test_a_walk_has_its_deviation_after_4_h_and_grows_as_the_root_of_time():
+def test_walks_grow_as_the_root_of_time_and_the_gel_drifts_before_capacitances():
     times = DRIFT_TIME * np.array([1 / 64, 1 / 16, 1 / 4, 1.0])
     walks = np.array([RandomWalk(0.002, seed)(times) for seed in range(4000)])
     # Four standard errors of a standard deviation of 4,000 values are 4.5 %.
     np.testing.assert_allclose(walks.std(axis=0), 0.002 * np.sqrt(times / DRIFT_TIME), rtol=0.045)
     steps = np.diff(walks, axis=1)
     assert np.abs(np.corrcoef(steps.T) - np.eye(3)).max() < 0.064
+    stray = {"stray_capacitance": (1e-9, 1e-9)}
+    w = 2 * np.pi * 40e3
+    for term, before in (("gel_drift", True), ("drift", False)):
+        factor = read(only(**{term: 0.1}), time=DRIFT_TIME)[0] / FLAT
+        Z = FLAT * factor if before else FLAT
+        expected = Z / (1 + 1j * w * 1e-9 * Z) * (1 if before else factor)
+        found = read(only(**{term: 0.1}, **stray), time=DRIFT_TIME)[0]
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("term", ["drift", "gel_drift"])
@@ -94,17 +107,6 @@ def test_drift_is_one_factor_for_all_measurements_from_the_sessions_start(term):
     np.testing.assert_allclose(factor, np.exp(walk(np.array([DRIFT_TIME]))[0]), rtol=1e-12)
     later = np.array([read(instrument, time=DRIFT_TIME, seed=seed)[0][0] for seed in range(1000)])
     assert np.log(later / FLAT[0]).real.std() == pytest.approx(0.002, rel=0.09)
-
-
-def test_the_gel_drifts_before_the_stray_capacitance_and_the_electronics_after_it():
-    stray = {"stray_capacitance": (1e-9, 1e-9)}
-    w = 2 * np.pi * 40e3
-    for term, before in (("gel_drift", True), ("drift", False)):
-        factor = read(only(**{term: 0.1}), time=DRIFT_TIME)[0] / FLAT
-        Z = FLAT * factor if before else FLAT
-        expected = Z / (1 + 1j * w * 1e-9 * Z) * (1 if before else factor)
-        found = read(only(**{term: 0.1}, **stray), time=DRIFT_TIME)[0]
-        np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
 # ---- gain, phase, reciprocity ----
@@ -128,7 +130,7 @@ def test_gain_and_phase_have_their_deviation_and_end_at_their_limit(term, deviat
     assert abs(found.mean()) < 4 * deviation / np.sqrt(1000)
 
 
-def test_reciprocal_measurements_differ_by_the_reciprocity_error():
+def test_frames_are_the_same_at_once_and_reciprocal_but_for_their_errors():
     rows = Protocol.adjacent(8)
     reciprocal = [rows.table.index((c, d, a, b)) for a, b, c, d in rows.table]
     flat = np.full(len(rows), 100.0)
@@ -138,32 +140,6 @@ def test_reciprocal_measurements_differ_by_the_reciprocity_error():
     assert len(np.unique(error[0])) == len(rows)
     assert (error - error[:, reciprocal]).std() == pytest.approx(0.004, rel=0.045)
     assert error.std() == pytest.approx(0.004 / np.sqrt(2), rel=0.045)
-
-
-# ---- stray capacitance ----
-
-
-def test_100_pF_is_39_8_kohm_at_40_kHz_and_turns_1_kohm_by_1_4_deg():
-    w = 2 * np.pi * 40e3
-    assert 1 / (w * 100e-12) == pytest.approx(39.8e3, rel=1e-3)
-    (Z,), _ = read(only(stray_capacitance=(1e-10, 1e-10)), [1000.0], protocol=Protocol.pairwise(2))
-    drawn = read(only(stray_capacitance=(40e-12, 100e-12)))[0]
-    capacitance = (1 / drawn).imag / w
-    assert (capacitance.min(), capacitance.max()) == pytest.approx((42e-12, 98e-12), abs=2.1e-12)
-    assert Z == pytest.approx(1 / (1 / 1000.0 + 1j * w * 100e-12), rel=1e-12)
-    assert np.angle(Z, deg=True) == pytest.approx(-1.4397, abs=1e-4)
-
-
-def test_measurements_that_share_a_drive_pair_share_its_capacitance():
-    rows = Protocol(((2, 3, 2, 3), (0, 1, 0, 1), (0, 1, 2, 3), (1, 0, 3, 2)), 4)
-    Z = np.array([300.0, 600.0, 60.0, 60.0])
-    found, _ = read(only(stray_capacitance=(40e-12, 100e-12)), Z, protocol=rows)
-    shunt = Z / found
-    np.testing.assert_allclose(shunt[2:], shunt[1], rtol=1e-12)
-    assert shunt[0].imag / 300.0 != pytest.approx(shunt[1].imag / 600.0, rel=1e-3)
-
-
-def test_frames_are_the_same_measured_at_once_and_one_by_one_but_for_noise():
     session = started(dataclasses.replace(ALL, snr_db=0.0, floor=0.0))
     frames, times = np.tile(FLAT, (4, 1)), np.array([0.0, 5.0, 4000.0, 90000.0])
     rng = np.random.default_rng(0)
@@ -171,6 +147,40 @@ def test_frames_are_the_same_measured_at_once_and_one_by_one_but_for_noise():
     for k in (2, 0, 3, 1):
         alone, _ = session.measure(frames[k : k + 1], times[k : k + 1], rng)
         np.testing.assert_array_equal(alone[0], together[k])
+
+
+# ---- stray capacitance ----
+
+
+def test_stray_capacitance_turns_by_its_ohms_and_is_that_of_the_drive_pair():
+    """The capacitor is a further element of the network, whose nodal equations are solved."""
+    w = 2 * np.pi * 40e3
+    assert 1 / (w * 100e-12) == pytest.approx(39.8e3, rel=1e-3)
+    (one,), _ = read(
+        only(stray_capacitance=(1e-10, 1e-10)), [1000.0], protocol=Protocol.pairwise(2)
+    )
+    drawn = read(only(stray_capacitance=(40e-12, 100e-12)))[0]
+    capacitance = (1 / drawn).imag / w
+    assert (capacitance.min(), capacitance.max()) == pytest.approx((42e-12, 98e-12), abs=2.1e-12)
+    assert one == pytest.approx(1 / (1 / 1000.0 + 1j * w * 100e-12), rel=1e-12)
+    assert np.angle(one, deg=True) == pytest.approx(-1.4397, abs=1e-4)
+    rows = Protocol(((2, 3, 2, 3), (0, 1, 0, 1), (0, 1, 2, 3), (1, 0, 3, 2)), 4)
+    ohm = np.array([300.0, 600.0, 60.0, 60.0])
+    found, _ = read(only(stray_capacitance=(40e-12, 100e-12)), ohm, protocol=rows)
+    shunt = ohm / found
+    np.testing.assert_allclose(shunt[2:], shunt[1], rtol=1e-12)
+    assert shunt[0].imag / 300.0 != pytest.approx(shunt[1].imag / 600.0, rel=1e-3)
+    C = 1e-9
+    instrument, rng = only(stray_capacitance=(C, C)), np.random.default_rng(0)
+    session = instrument.session(ADJACENT, 100.0, rng)
+    both = instrument.terminal_impedances(Z, ADJACENT)
+    found, _ = session.measure(both[None], np.zeros(1), rng)
+    Y = np.linalg.pinv(Z)
+    for (a, b, c, d), value in zip(ADJACENT.table, found[0], strict=True):
+        e = np.zeros(N)
+        e[[a, b]] = 1.0, -1.0
+        V = np.linalg.pinv(Y + 2j * np.pi * 40e3 * C * np.outer(e, e)) @ e
+        assert value == pytest.approx(V[c] - V[d], rel=1e-9)
 
 
 # ---- four terminals ----
@@ -196,21 +206,6 @@ def test_terminal_impedances_are_those_of_a_current_through_the_drive_pair(proto
         V = Z[:, a] - Z[:, b]
         assert both[0, i] == pytest.approx(V[c] - V[d], rel=1e-12)
         assert both[1, i] == pytest.approx(V[a] - V[b], rel=1e-12)
-
-
-def test_stray_capacitance_across_the_drive_pair_is_that_of_the_circuit():
-    """The capacitor is a further element of the network, whose nodal equations are solved."""
-    C = 1e-9
-    instrument, rng = only(stray_capacitance=(C, C)), np.random.default_rng(0)
-    session = instrument.session(ADJACENT, 100.0, rng)
-    both = instrument.terminal_impedances(Z, ADJACENT)
-    found, _ = session.measure(both[None], np.zeros(1), rng)
-    Y = np.linalg.pinv(Z)
-    for (a, b, c, d), value in zip(ADJACENT.table, found[0], strict=True):
-        e = np.zeros(N)
-        e[[a, b]] = 1.0, -1.0
-        V = np.linalg.pinv(Y + 2j * np.pi * 40e3 * C * np.outer(e, e)) @ e
-        assert value == pytest.approx(V[c] - V[d], rel=1e-9)
 
 
 def test_the_drive_pair_limits_the_current_and_the_sensed_voltage_its_range():
@@ -264,3 +259,84 @@ def test_times_that_no_session_has_and_frames_that_do_not_fit_are_refused():
             session.measure(np.ones(shape, complex), np.zeros(times), rng)
     with pytest.raises(FrameError, match="finite"):
         session.measure(np.full((1, 28), np.nan + 0j), np.zeros(1), rng)
+
+
+# The gel as it warms, dries and tires
+
+
+PROTOCOL = Protocol.pairwise(8)
+
+
+def factors(times, **terms):
+    """Factors on all impedances in a session without other terms."""
+    instrument = dataclasses.replace(Instrument.ideal(), **terms)
+    session = instrument.session(PROTOCOL, 1.0, np.random.default_rng(3))
+    ones = np.ones((len(times), len(PROTOCOL)), complex)
+    values, _ = session.measure(ones, np.array(times), np.random.default_rng(4))
+    assert np.ptp(np.abs(values), axis=1) == pytest.approx(0.0, abs=1e-12)
+    return values[:, 0].real
+
+
+def test_gels_conduct_by_warmth_and_dryness_and_change_as_the_aged_sensor():
+    """Half of the water: 55 % of the thickness, polymer from 10 to 18.2 %."""
+    warm = factors([0.0, WARMING_TIME, 1e6], gel_warming=(5.0, 5.0))
+    assert 1.0 / warm == pytest.approx([1.0, 1.0 + 0.1 * (1.0 - np.exp(-1.0)), 1.1], rel=1e-9)
+    f = 0.1 / 0.55
+    expected = ((1 - f) / (1 + f)) ** 2 / (0.9 / 1.1) ** 2
+    dry = factors([0.0, DAY], gel_drying=(0.5, 0.5))
+    assert 1.0 / dry == pytest.approx([1.0, expected], rel=1e-9)
+    design = SensorDesign.reference()
+    electrodes = tuple(
+        dataclasses.replace(each, contact_impedance=1e-9) for each in design.electrodes
+    )
+    fresh = dataclasses.replace(design, electrodes=electrodes)
+    aged = age_gel(fresh, warming=3.0, water=0.8)
+    assert aged.encapsulated_thickness - aged.thickness == pytest.approx(0.007)
+    before, after = (
+        PROTOCOL.measure(ForwardModel(sensor, "coarse").impedance()) for sensor in (fresh, aged)
+    )
+    # The temperature is reached within days.
+    factor = factors([10 * DAY], gel_warming=(3.0, 3.0), gel_drying=(1 - 0.8**0.1,) * 2)
+    assert after / before == pytest.approx(np.full(28, factor), rel=1e-4)
+    for wrong in ({"water": 0.0}, {"warming": 90.0}):
+        with pytest.raises(ConfigurationError):
+            age_gel(fresh, **wrong)
+
+
+def test_cycles_on_one_place_approach_their_sum_and_deepen_later_touches():
+    """A standard linear solid, held for a and free for b: the rest of n holds is a series."""
+    g, tau, a, b, force = 0.4, 5.0, 3.0, 2.0, 4.0
+    solid, touch = Prony((g,), (tau,)), Touch(0.05, 0.03, force)
+    steps = [
+        (k * (a + b) + start, each) for k in range(60) for start, each in ((0, [touch]), (a, []))
+    ]
+    for n in (1, 2, 60):
+        (now,) = recall_touches(held_touches(steps[: 2 * n - 1]), (n - 1) * (a + b) + a, solid)
+        loads = ((now.force, now.held, now.released), *now.before)
+        total = sum(elastic_force(solid, *load) for load in loads)
+        amplitude, time = g / (1.0 - g), tau / (1.0 - g)
+        q = np.exp(-(a + b) / time)
+        series = (1.0 - np.exp(-a / time)) * (1.0 - q**n) / (1.0 - q)
+        assert total == pytest.approx(force * (1.0 + amplitude * series), rel=2e-3)
+    # In a script that relaxes; elsewhere the earlier touch fades on its own.
+    here, there = Touch(0.05, 0.03, 8.0), Touch(0.10, 0.03, 8.0)
+    steps = (Step(Scene(touches=(here,)), 30), Step(Scene(), 2))
+    script = Script((*steps, Step(Scene(touches=(here, there)), 10)), relaxing=0.3)
+    first, faded, second = script(0).touches, script(31).touches, script(33).touches
+    assert [touch.held for touch in first] == [0.0]
+    assert faded[0].released == pytest.approx(0.3)
+    assert [touch.x for touch in second] == [0.05, 0.10]
+    late, later = (script(33 + 42 * n).touches[0].before for n in (1000, 100_000))
+    assert len(later) > 1
+    assert np.allclose(late, later, rtol=1e-6)
+    simulator = Simulator(SensorDesign.reference(), "coarse")
+    again, alone = simulator.presses(Scene(touches=second))
+    (earlier,), residual = second[0].before, elastic_force(REFERENCE, *second[0].before[0])
+    assert earlier == pytest.approx((8.0, 9.0, 0.9))
+    assert 0.2 < residual < 1.0
+    whole = Touch(0.05, 0.03, elastic_force(REFERENCE, 8.0, 0.3) + residual)
+    expected = simulator.presses(Scene(touches=(whole, there)))[0].depth
+    assert again.depth == pytest.approx(expected, rel=2e-3)
+    assert again.depth > 1.01 * alone.depth
+    with pytest.raises(ConfigurationError):
+        Touch(0.05, 0.03, 8.0, before=((1.0, 1.0, 1.0),))

@@ -46,7 +46,7 @@ def test_a_flat_punch_on_a_bonded_layer_is_hayess(ratio, published) -> None:
 
 
 @pytest.mark.slow
-def test_a_small_press_of_a_sphere_is_hertzs() -> None:
+def test_small_presses_are_hertzs_and_those_through_the_base_say_how_far():
     R = 0.01
     press = AxisymmetricPress(
         layer(0.1), Sphere(R, rough=False), finest=R / 200, band=(0.0, 0.08 * R), reach=0.1
@@ -57,6 +57,10 @@ def test_a_small_press_of_a_sphere_is_hertzs() -> None:
     assert found.contact_radius == pytest.approx(np.sqrt(R * found.depth), rel=0.03)
     peak = 1.5 * found.force / (np.pi * R * found.depth)
     assert found.pressure.max() == pytest.approx(peak, rel=0.03)
+    press = AxisymmetricPress(layer(0.002), Cylinder(0.004), finest=2e-3)
+    with pytest.raises(SolidError, match="m deep of") as error:
+        press.to_depth(0.00208)
+    assert 0.0 < error.value.reached < 1.0
 
 
 # Invariants
@@ -149,11 +153,3 @@ def test_a_sphere_is_round() -> None:
 def test_what_cannot_be_pressed_is_refused(make, says) -> None:
     with pytest.raises(ConfigurationError, match=says):
         make()
-
-
-@pytest.mark.slow
-def test_a_press_through_the_base_says_how_far_it_got() -> None:
-    press = AxisymmetricPress(layer(0.002), Cylinder(0.004), finest=2e-3)
-    with pytest.raises(SolidError, match="m deep of") as error:
-        press.to_depth(0.00208)
-    assert 0.0 < error.value.reached < 1.0

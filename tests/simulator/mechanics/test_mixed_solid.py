@@ -98,7 +98,18 @@ def squeezed(solid, height):
     return Load(fixed, np.concatenate([moved, 0.0 * axis]), np.zeros(solid.unknowns))
 
 
-def test_earlier_factors_take_the_place_of_the_last_factorisation() -> None:
+def test_work_is_the_energy_stored_also_with_earlier_factors_and_a_scale():
+    """A cylinder squeezed between rough plates, by Simpson's rule over the stroke."""
+    mesh = skfem.MeshQuad.init_tensor(np.linspace(0, 1, 5), np.linspace(0, 1, 5))
+    solid = Solid(mesh, [Ogden(2.0, 2.35)], kinematics="axisymmetric", bulk_ratio=1e3)
+    x, forces = np.zeros(solid.unknowns), [0.0]
+    strokes = np.linspace(0, 0.3, 9)
+    for stroke in strokes[1:]:
+        load = squeezed(solid, 1.0 - stroke)
+        x = newton([solid], x, load)
+        forces.append(solid.forces(x)[load.fixed] @ load.values / stroke)
+    simpson = np.array([1, 4, 2, 4, 2, 4, 2, 4, 1]) / 3 * strokes[1]
+    assert solid.energy(x) == pytest.approx(simpson @ forces, rel=1e-5)
     solid = Solid(MESHES["ring"][0], [NeoHookean(1.0)], kinematics="axisymmetric")
     none, load, factorised = np.zeros(solid.unknowns), squeezed(solid, 0.95), []
 
@@ -114,11 +125,8 @@ def test_earlier_factors_take_the_place_of_the_last_factorisation() -> None:
         assert np.abs(found - exact).max() < 1e-4 * np.abs(exact).max()
         counts.append(len(factorised))
     assert counts[1] - counts[0] < counts[0]
-
-
-def test_a_solid_that_hardly_moves_needs_a_scale() -> None:
-    """Rounding leaves residuals that no correction makes smaller than themselves."""
     solid = Solid(MESHES["ring"][0], [NeoHookean(1.0)], kinematics="axisymmetric")
+    # Rounding leaves residuals that no correction makes smaller than themselves.
     load = squeezed(solid, 1.0)
     tiny = 1e-20 * np.random.default_rng(0).normal(size=solid.unknowns)
     held = Load(load.fixed, load.values, solid.forces(tiny))
@@ -126,20 +134,6 @@ def test_a_solid_that_hardly_moves_needs_a_scale() -> None:
         newton([solid], np.zeros(solid.unknowns), held, tolerance=1e-2)
     found = newton([solid], np.zeros(solid.unknowns), held, tolerance=1e-2, scale=1e-6)
     assert np.abs(found).max() < 1e-9
-
-
-def test_the_work_of_the_load_is_the_energy_stored() -> None:
-    """A cylinder squeezed between rough plates, by Simpson's rule over the stroke."""
-    mesh = skfem.MeshQuad.init_tensor(np.linspace(0, 1, 5), np.linspace(0, 1, 5))
-    solid = Solid(mesh, [Ogden(2.0, 2.35)], kinematics="axisymmetric", bulk_ratio=1e3)
-    x, forces = np.zeros(solid.unknowns), [0.0]
-    strokes = np.linspace(0, 0.3, 9)
-    for stroke in strokes[1:]:
-        load = squeezed(solid, 1.0 - stroke)
-        x = newton([solid], x, load)
-        forces.append(solid.forces(x)[load.fixed] @ load.values / stroke)
-    simpson = np.array([1, 4, 2, 4, 2, 4, 2, 4, 1]) / 3 * strokes[1]
-    assert solid.energy(x) == pytest.approx(simpson @ forces, rel=1e-5)
 
 
 def test_thick_cylinder_under_pressure() -> None:

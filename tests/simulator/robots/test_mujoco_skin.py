@@ -47,7 +47,8 @@ def weight(geom, x, y, z, mass):
     )
 
 
-def test_a_ball_presses_with_its_weight_where_it_lies(simulator) -> None:
+def test_balls_press_the_upper_face_alone_by_their_weight_however_it_stands(simulator):
+    """A skin tilted by 20 degrees about x and turned about z feels the part along its normal."""
     model, data = loaded(weight('type="sphere" size=".0075"', 0.02, -0.01, 0.014, 0.5))
     skin = MujocoSkin(simulator, model, "skin")
     (touch,) = skin.touches(data)
@@ -61,10 +62,6 @@ def test_a_ball_presses_with_its_weight_where_it_lies(simulator) -> None:
     assert (touch.x, touch.y) == (pytest.approx(0.045, abs=1e-4), pytest.approx(0.035, abs=1e-4))
     own = MujocoSkin(simulator, model, "skin", rules=TouchRules(indenter=None))
     assert own.touches(data)[0].indenter == Sphere(0.0075)
-
-
-def test_places_and_forces_are_those_of_the_face_however_the_skin_stands(simulator) -> None:
-    """A skin tilted by 20 degrees about x and turned about z feels the part along its normal."""
     tilt = np.radians(20.0)
     pose = 'pos=".1 .2 .3" euler="20 0 0"'
     ball = (
@@ -76,10 +73,7 @@ def test_places_and_forces_are_those_of_the_face_however_the_skin_stands(simulat
     (touch,) = MujocoSkin(simulator, model, "skin").touches(data)
     assert touch.force == pytest.approx(0.3 * WEIGHT * np.cos(tilt), rel=1e-3)
     assert (touch.x, touch.y) == (pytest.approx(0.095, abs=1e-4), pytest.approx(0.04, abs=1e-4))
-
-
-def test_only_the_upper_face_feels(simulator) -> None:
-    """The skin lies on a table and a ball leans on its side: neither is a touch."""
+    # The skin lies on a table and a ball leans on its side: neither is a touch.
     table = '<geom type="box" size=".2 .2 .01" pos="0 0 -.016"/>'
     beside = (
         '<body pos=".0822 0 0"><joint type="slide" axis="1 0 0"/>'

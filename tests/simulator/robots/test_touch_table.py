@@ -24,12 +24,9 @@ FLAT = np.array([400.0 + 3.0j, 700.0 - 2.0j, 550.0])
 # Rules
 
 
-def test_touches_that_do_not_overlap_stay_apart_strongest_first():
+def test_touches_merge_where_they_overlap_within_limits_of_force_and_place():
     points = [Touch(0.03, 0.03, 2.0), Touch(0.0451, 0.03, 4.0), Touch(0.1, 0.03, 3.0)]
     assert [each.force for each in RULES.apply(points, GEL)] == [4.0, 3.0, 2.0]
-
-
-def test_merging_goes_on_until_no_indenters_overlap_and_keeps_force_and_moment():
     rng = np.random.default_rng(3)
     points = [
         Touch(0.15 * rng.random(), 0.06 * rng.random(), 0.1 + rng.random()) for _ in range(25)
@@ -41,13 +38,17 @@ def test_merging_goes_on_until_no_indenters_overlap_and_keeps_force_and_moment()
     for weigh in (lambda t: t.force, lambda t: t.force * t.x, lambda t: t.force * t.y):
         assert sum(map(weigh, found)) == pytest.approx(sum(map(weigh, points)))
     Scene(touches=tuple(found))
-
-
-def test_the_strongest_gives_the_indenter_and_radii_decide_what_overlaps():
     small, large = Touch(0.05, 0.03, 1.0, Sphere(0.003)), Touch(0.06, 0.03, 2.0, Sphere(0.008))
     (both,) = merge_overlapping([small, large])
     assert both.indenter == Sphere(0.008)
     assert len(merge_overlapping([small, Touch(0.06, 0.03, 2.0, Sphere(0.0065))])) == 2
+    rules = TouchRules(least=0.5, most=8.0, margin=0.01)
+    weak, strong = Touch(0.1, 0.03, 0.4), Touch(0.002, 0.058, 30.0)
+    (touch,) = rules.apply([weak, strong], GEL)
+    assert (touch.x, touch.y, touch.force) == (0.01, pytest.approx(0.05), 8.0)
+    for wrong in ({"least": 0.0}, {"least": 9.0, "most": 8.0}, {"margin": -1.0}):
+        with pytest.raises(ConfigurationError, match="expected"):
+            TouchRules(**wrong)
 
 
 @pytest.mark.parametrize("sides", [(0.04, 0.03), (0.06, 0.01), (0.05, 0.0)])
@@ -70,16 +71,6 @@ def test_a_face_is_one_touch_with_its_shape_force_and_moment(sides) -> None:
     assert touch_of_face(small, Cylinder()).indenter == Cylinder()
     assert isinstance(touch_of_face(small, None).indenter, Footprint)
     assert touch_of_face(small[:1], None).indenter == Cylinder()
-
-
-def test_limits_of_force_and_place():
-    rules = TouchRules(least=0.5, most=8.0, margin=0.01)
-    weak, strong = Touch(0.1, 0.03, 0.4), Touch(0.002, 0.058, 30.0)
-    (touch,) = rules.apply([weak, strong], GEL)
-    assert (touch.x, touch.y, touch.force) == (0.01, pytest.approx(0.05), 8.0)
-    for wrong in ({"least": 0.0}, {"least": 9.0, "most": 8.0}, {"margin": -1.0}):
-        with pytest.raises(ConfigurationError, match="expected"):
-            TouchRules(**wrong)
 
 
 # Table
@@ -110,18 +101,7 @@ class SmoothSimulator:
         return np.array([FLAT * np.exp(sum(map(changed, each.touches))) for each in scenes])
 
 
-def test_places_and_forces_between_are_interpolated() -> None:
-    table = TouchTable.load_or_solve(SmoothSimulator(), OUTLINE, Cylinder(), RULES, spacing=0.005)
-    shares = np.random.default_rng(5).random((20, 3))
-    touches = [
-        Touch(0.005 + 0.09 * x, 0.005 + 0.04 * y, RULES.most * (0.01 + 0.99 * force))
-        for x, y, force in shares
-    ]
-    expected = [np.exp(changed(each)) for each in touches]
-    np.testing.assert_allclose(table.factors(touches), expected, rtol=0, atol=2e-6)
-
-
-def test_a_table_is_solved_once_for_all_it_depends_on() -> None:
+def test_tables_are_solved_once_for_what_they_depend_on_and_interpolated():
     simulator = SmoothSimulator()
 
     def solved(indenter=Cylinder(), rules=RULES):  # noqa: B008
@@ -138,3 +118,11 @@ def test_a_table_is_solved_once_for_all_it_depends_on() -> None:
     simulator.design = types.SimpleNamespace(thickness=0.004)
     solved()
     assert simulator.solved == 4 * scenes + 1
+    table = TouchTable.load_or_solve(SmoothSimulator(), OUTLINE, Cylinder(), RULES, spacing=0.005)
+    shares = np.random.default_rng(5).random((20, 3))
+    touches = [
+        Touch(0.005 + 0.09 * x, 0.005 + 0.04 * y, RULES.most * (0.01 + 0.99 * force))
+        for x, y, force in shares
+    ]
+    expected = [np.exp(changed(each)) for each in touches]
+    np.testing.assert_allclose(table.factors(touches), expected, rtol=0, atol=2e-6)

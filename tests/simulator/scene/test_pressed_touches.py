@@ -47,7 +47,7 @@ def one(touch, mechanics=None):
     return found
 
 
-def test_a_press_tells_depth_contact_and_pressure() -> None:
+def test_a_press_tells_depth_contact_and_pressure_and_to_a_depth_is_that_of_its_force(sim):
     found = one(Touch(X, Y, 10.0))
     assert found.force == pytest.approx(10.0)
     assert 2e-3 < found.depth < 4e-3
@@ -57,9 +57,6 @@ def test_a_press_tells_depth_contact_and_pressure() -> None:
     assert found.edge_distance == pytest.approx(0.030)
     assert math.isinf(found.neighbour_distance)
     assert found.caution == ""
-
-
-def test_a_press_to_the_depth_of_a_force_is_that_press(sim) -> None:
     found = one(Touch(X, Y, 6.0))
     to_depth = Touch(X, Y, depth=found.depth)
     assert one(to_depth).force == pytest.approx(6.0, rel=3e-3)  # steps of sinking end at 1e-3
@@ -160,7 +157,7 @@ def held(**time):
     return one(Touch(X, Y, 5.0, **time))
 
 
-def test_a_held_press_creeps_and_a_released_one_lingers() -> None:
+def test_held_presses_creep_at_a_force_and_relax_at_a_depth():
     at_once, minute = held(), held(held=60.0)
     assert minute.depth > 1.1 * at_once.depth
     assert minute.force == 5.0
@@ -169,9 +166,6 @@ def test_a_held_press_creeps_and_a_released_one_lingers() -> None:
     assert dents[0] > dents[1] > dents[2] > 0.0
     released = held(held=60.0, released=10.0)
     assert (released.force, released.contact_area, released.mean_pressure) == (0.0, 0.0, 0.0)
-
-
-def test_a_press_held_at_a_depth_relaxes_and_keeps_its_dent() -> None:
     at_once = one(Touch(X, Y, depth=0.0015))
     minute = one(Touch(X, Y, depth=0.0015, held=60.0))
     assert minute.depth == pytest.approx(at_once.depth)
@@ -229,8 +223,14 @@ def pressed(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_round_footprint_presses_like_the_cylinder_and_is_kept(pressed, monkeypatch) -> None:
+def test_a_round_footprint_presses_like_the_cylinder_and_off_its_middle_in_part(
+    pressed, monkeypatch
+):
     """The cylinder's press is found otherwise: by its axisymmetric dent and contact."""
+    sides = 5e-3 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    corners = (sides + np.array([3e-3, 0.0])).tolist()
+    square = Footprint(corners=tuple(map(tuple, corners)))
+    assert pressed(square, force=2.0)[1].contact_radius < 0.95 * square.rims[1]
     expected, cylinder = pressed(Cylinder(0.006), force=4.0)
     signal, punch = pressed(ROUND, force=4.0)
     assert np.linalg.norm(signal - expected) < 0.03 * np.linalg.norm(expected)
@@ -245,15 +245,7 @@ def test_a_round_footprint_presses_like_the_cylinder_and_is_kept(pressed, monkey
     assert np.array_equal(pressed(ROUND, force=4.0)[0], signal)
 
 
-@pytest.mark.slow
-def test_a_footprint_pressed_off_its_middle_leaves_the_face_in_part(pressed) -> None:
-    sides = 5e-3 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    corners = (sides + np.array([3e-3, 0.0])).tolist()
-    square = Footprint(corners=tuple(map(tuple, corners)))
-    assert pressed(square, force=2.0)[1].contact_radius < 0.95 * square.rims[1]
-
-
-def test_indenters_keep_apart_by_their_shapes() -> None:
+def test_indenters_keep_apart_by_their_shapes_and_scanned_balls_are_spheres(tmp_path):
     bar, ball = Footprint(0.03, 0.006), Sphere(0.004)
     above = (X, Y + 0.010)
     for allowed in (
@@ -268,12 +260,6 @@ def test_indenters_keep_apart_by_their_shapes() -> None:
     ):
         with pytest.raises(ConfigurationError, match=r"apart|0\.01 m .*0\.015"):
             Scene(touches=refused)
-
-
-# Files
-
-
-def test_a_scanned_ball_named_by_a_scene_file_is_a_sphere(tmp_path) -> None:
     trimesh = pytest.importorskip("trimesh")
     trimesh.creation.icosphere(subdivisions=4, radius=7.5).export(tmp_path / "ball.stl")
     path, sphere = tmp_path / "scene.toml", Sphere(0.0075)
@@ -290,6 +276,9 @@ def test_a_scanned_ball_named_by_a_scene_file_is_a_sphere(tmp_path) -> None:
     lying.export(tmp_path / "bar.stl")
     with pytest.raises(ConfigurationError, match="upright"):
         ScannedIndenter(tmp_path / "bar.stl", 1e-3)
+
+
+# Files
 
 
 DENTED = ((0.0, 0.0), (0.02, 0.0), (0.005, 0.005), (0.0, 0.02))

@@ -55,13 +55,31 @@ def mirrored(electrodes) -> list[int]:
     return [PAIRS.index(tuple(sorted((electrodes[a], electrodes[b])))) for a, b in PAIRS]
 
 
-def test_convex_bends_stretch_the_layer_and_concave_ones_shorten_it(sim, flat) -> None:
+def test_bends_stretch_the_layer_rigid_motions_do_nothing_and_mirrors_mirror(sim, flat):
+    """Twisting back mirrors the sensor: electrodes 0, 1, 2 take the places of 6, 5, 4."""
     assert not sim.measure(Scene()).status.any()
     assert sim.deformation(Scene()) is None
     assert sim.full_scale == flat.max()
     out, back = (sim.measure(Scene(Bend(angle))).impedance.real / flat for angle in (50.0, -20.0))
     assert np.median(out) > 1.01
     assert np.median(back) < 0.995
+    turn = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+    for moved in (np.zeros_like, lambda x: x @ (turn.T - np.eye(3)) + 0.1):
+        found = sim.simulate_deformation(Displaced(moved)).impedance
+        assert found.real == pytest.approx(flat, rel=1e-9)
+    there, back = (sim.measure(Scene(twist=Twist(way * 60.0))).impedance.real for way in (1, -1))
+    assert there[mirrored([6, 5, 4, 3, 2, 1, 0, 7])] == pytest.approx(back, rel=1e-9)
+    assert np.abs(there / flat - 1).max() > 1e-3
+    left, right = (
+        sim.measure(Scene(Bend(20.0), (Touch(x, 0.021),))).impedance for x in (0.040, 0.110)
+    )
+    assert right[mirrored([2, 1, 0, 7, 6, 5, 4, 3])] == pytest.approx(left, rel=1e-8)
+    both, below = (
+        sim.measure(Scene(Bend(20.0), support=each)).impedance.real for each in (None, Plates())
+    )
+    held = Simulator(sim.design, "fast", Clamp(faces="bottom")).measure(Scene(Bend(20.0)))
+    assert np.array_equal(held.impedance.real, below)
+    assert 0.05 < np.linalg.norm(below - both) / np.linalg.norm(both - flat) < 0.15
 
 
 @pytest.mark.slow
@@ -74,24 +92,6 @@ def test_what_does_nothing_changes_nothing(sim, flat) -> None:
         assert sim.measure(scene).impedance == pytest.approx(flat, rel=1e-7)
     for support in (Rigid(), Plates(), Substrate(0.01, 5e3), Free()):
         assert np.array_equal(sim.measure(Scene(support=support)).impedance, flat)
-
-
-def test_rigid_motions_are_not_felt(sim, flat) -> None:
-    turn = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
-    for moved in (np.zeros_like, lambda x: x @ (turn.T - np.eye(3)) + 0.1):
-        found = sim.simulate_deformation(Displaced(moved)).impedance
-        assert found.real == pytest.approx(flat, rel=1e-9)
-
-
-def test_mirrored_scenes_give_mirrored_frames(sim, flat) -> None:
-    """Twisting back mirrors the sensor: electrodes 0, 1, 2 take the places of 6, 5, 4."""
-    there, back = (sim.measure(Scene(twist=Twist(way * 60.0))).impedance.real for way in (1, -1))
-    assert there[mirrored([6, 5, 4, 3, 2, 1, 0, 7])] == pytest.approx(back, rel=1e-9)
-    assert np.abs(there / flat - 1).max() > 1e-3
-    left, right = (
-        sim.measure(Scene(Bend(20.0), (Touch(x, 0.021),))).impedance for x in (0.040, 0.110)
-    )
-    assert right[mirrored([2, 1, 0, 7, 6, 5, 4, 3])] == pytest.approx(left, rel=1e-8)
 
 
 @pytest.mark.slow
@@ -124,16 +124,7 @@ def test_a_scene_keeps_its_support_and_indenters_in_its_file(support) -> None:
     assert parse_toml(Scene, to_toml(scene)) == scene
 
 
-def test_plates_bend_by_the_bottom_face(sim, flat) -> None:
-    both, below = (
-        sim.measure(Scene(Bend(20.0), support=each)).impedance.real for each in (None, Plates())
-    )
-    held = Simulator(sim.design, "fast", Clamp(faces="bottom")).measure(Scene(Bend(20.0)))
-    assert np.array_equal(held.impedance.real, below)
-    assert 0.05 < np.linalg.norm(below - both) / np.linalg.norm(both - flat) < 0.15
-
-
-def test_presses_on_the_plates_of_the_reference_ship() -> None:
+def test_presses_on_plates_ship_and_scenes_next_to_impossible_ones_are_possible(sim):
     """Far from the gap they are those on a rigid base; bent they turn with their plate."""
     sim, touches = Simulator(REFERENCE, "coarse"), (Touch(0.012, 0.030, 6.0),)
     scene, bare = (Scene(Bend(30.0), each, support=Plates()) for each in (touches, ()))
@@ -146,6 +137,17 @@ def test_presses_on_the_plates_of_the_reference_ship() -> None:
     flat = sim.deformation(pressed).positions(under) - under
     assert np.linalg.norm(both) == pytest.approx(np.linalg.norm(flat), rel=0.05)
     assert np.degrees(np.arctan2(both[0], -both[2])) == pytest.approx(15.0, abs=2.0)
+    Simulator(ROUND, "fast").check_scene(dataclasses.replace(BENT_DISC, bend=Bend(0.0)))
+    Simulator(ROUND, "fast", fixture=Hinge()).check_scene(BENT_DISC)
+    apart = Simulator(REFERENCE, "fast", fixture=Hinge(span=0.03))
+    apart.check_scene(Scene(Bend(5.0), support=Plates(0.03)))
+    on_free = Simulator(FREE, "fast")
+    on_free.check_scene(Scene(Bend(5.0), support=Rigid()))
+    assert on_free.design_on_support(Scene(support=Rigid())) == REFERENCE
+    assert sim.solves_presses(NEAR_GAP)
+    assert sim.solves_presses(FAR_BENT)
+    with pytest.raises(ConfigurationError, match="default_rng"):
+        sim.measure(Scene(), Instrument())
 
 
 # Refusals
@@ -181,17 +183,3 @@ def test_impossible_scenes_are_refused(terms, scene, message) -> None:
     made = Simulator(**({"design": REFERENCE, "resolution": "fast"} | terms))
     with pytest.raises(ConfigurationError, match=message):
         made.measure(scene)
-
-
-def test_scenes_next_to_impossible_ones_are_possible(sim) -> None:
-    Simulator(ROUND, "fast").check_scene(dataclasses.replace(BENT_DISC, bend=Bend(0.0)))
-    Simulator(ROUND, "fast", fixture=Hinge()).check_scene(BENT_DISC)
-    apart = Simulator(REFERENCE, "fast", fixture=Hinge(span=0.03))
-    apart.check_scene(Scene(Bend(5.0), support=Plates(0.03)))
-    on_free = Simulator(FREE, "fast")
-    on_free.check_scene(Scene(Bend(5.0), support=Rigid()))
-    assert on_free.design_on_support(Scene(support=Rigid())) == REFERENCE
-    assert sim.solves_presses(NEAR_GAP)
-    assert sim.solves_presses(FAR_BENT)
-    with pytest.raises(ConfigurationError, match="default_rng"):
-        sim.measure(Scene(), Instrument())

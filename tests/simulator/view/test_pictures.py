@@ -54,14 +54,22 @@ def test_lines_of_current_in_a_bar_are_straight_and_carry_its_density(kind) -> N
         assert quarters.min() > 0.5 * quarters.mean()
 
 
-def test_pictures_are_not_mirrored() -> None:
+def test_pictures_are_not_mirrored_and_currents_in_stretched_blocks_uniform():
     for direction, right in (((0.0, -1.0, 0.0), (1, 0, 0)), ((1.0, 0.0, 0.0), (0, 1, 0))):
         panel = drawing.Panel("", np.zeros((1, 3)), print, direction=np.array(direction))
         assert np.array_equal(panel.axes, [right, (0, 0, 1)])
+    c, s = math.cos(0.5), math.sin(0.5)
+    F = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]]) @ np.diag([1.5, 0.9, 0.7])
+    affine = Displaced(lambda x: x @ (F - np.eye(3)).T)
+    model = ForwardModel(bar_between_electrodes(), ((1, 1), Grading(2e-3, 2e-3, 1.0, 2)))
+    tensor = np.broadcast_to(pulled_back(F), (len(model.mesh.cells), 3, 3))
+    found = deformed_current_density(model, affine, (0, 1), tensor)
+    area = 0.9 * WIDTH * 0.7 * THICKNESS
+    assert found == pytest.approx(np.tile([c / area, 0.0, s / area], (len(found), 1)), abs=1e-3)
 
 
 @pytest.mark.slow
-def test_potential_and_current_of_a_drive_pair_are_drawn(tmp_path) -> None:
+def test_drive_pairs_and_electrodes_inside_and_below_are_drawn_where_they_are(tmp_path):
     model = ForwardModel(BAR, ((1, 1), FEW))
     for drive in ((0, 2), (1, 1)):
         with pytest.raises(ConfigurationError):
@@ -77,10 +85,6 @@ def test_potential_and_current_of_a_drive_pair_are_drawn(tmp_path) -> None:
     assert blue.sum() > 3000
     # The current enters on the left, where the potential is high.
     assert np.nonzero(red)[1].mean() < np.nonzero(blue)[1].mean()
-
-
-@pytest.mark.slow
-def test_electrodes_inside_and_below_are_drawn_and_looked_at_where_they_are(tmp_path) -> None:
     places = ((0.010, "top"), (0.030, "bottom"))
     pads = tuple(Electrode(x, 0.020, 0.008, on=on) for x, on in places)
     sheet = Electrode(0.020, 0.030, 0.008, on="inside", z=0.001)
@@ -99,7 +103,7 @@ def test_electrodes_inside_and_below_are_drawn_and_looked_at_where_they_are(tmp_
 # Fields
 
 
-def test_conductance_falls_under_a_press_and_where_the_layer_is_stretched(sim) -> None:
+def test_drawings_have_conductance_strain_and_the_pair_that_changes_most(sim):
     points = np.array([[0.05, 0.02, 0.0025], [0.02, 0.05, 0.0025]])
     scene = Scene(touches=(Touch(0.05, 0.02),))
     pressed = conductance_change(sim, scene, points)
@@ -111,9 +115,6 @@ def test_conductance_falls_under_a_press_and_where_the_layer_is_stretched(sim) -
     middle = np.array([[0.075, 0.03, 0.004]])
     assert conductance_change(sim, Scene(bend=Bend(40.0)), middle)[0] < -0.1
     assert conductance_change(sim, Scene(), middle)[0] == 0.0
-
-
-def test_strain_is_that_of_a_stretch_and_of_a_shear() -> None:
     points = np.array([[0.01, 0.02, 0.003], [0.03, 0.01, 0.001]])
     stretched = Displaced(lambda x: x * [0.3, 1.0 / 1.3 - 1.0, 0.0])
     assert largest_strain(stretched, points) == pytest.approx(math.log(1.3), rel=1e-6)
@@ -121,20 +122,6 @@ def test_strain_is_that_of_a_stretch_and_of_a_shear() -> None:
     # The stretches of a simple shear g are g/2 +- sqrt(1 + g^2/4).
     assert largest_strain(sheared, points) == pytest.approx(math.asinh(0.4), rel=1e-6)
     assert not largest_strain(None, points).any()
-
-
-def test_the_current_in_a_stretched_and_turned_block_is_uniform() -> None:
-    c, s = math.cos(0.5), math.sin(0.5)
-    F = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]]) @ np.diag([1.5, 0.9, 0.7])
-    affine = Displaced(lambda x: x @ (F - np.eye(3)).T)
-    model = ForwardModel(bar_between_electrodes(), ((1, 1), Grading(2e-3, 2e-3, 1.0, 2)))
-    tensor = np.broadcast_to(pulled_back(F), (len(model.mesh.cells), 3, 3))
-    found = deformed_current_density(model, affine, (0, 1), tensor)
-    area = 0.9 * WIDTH * 0.7 * THICKNESS
-    assert found == pytest.approx(np.tile([c / area, 0.0, s / area], (len(found), 1)), abs=1e-3)
-
-
-def test_the_pair_that_changes_most_is_found(sim) -> None:
     scene = Scene(touches=(Touch(0.13, 0.03),))
     change = np.abs(sim.measure(scene).impedance / sim.measure(Scene()).impedance - 1.0)
     best = sim.protocol.table[int(np.argmax(change))]

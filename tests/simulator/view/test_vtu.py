@@ -52,7 +52,7 @@ def close(said, known, part):
 # Content of the files
 
 
-def test_points_and_cells_are_those_of_the_deformed_mesh(sim, written) -> None:
+def test_points_cells_and_fields_are_those_of_the_deformed_model(sim, written):
     body, electrodes = written
     mesh, deformation = sim.model.mesh, sim.deformation(BENT)
     assert np.array_equal(body.points, deformation.positions(mesh.points))
@@ -62,10 +62,6 @@ def test_points_and_cells_are_those_of_the_deformed_mesh(sim, written) -> None:
     assert np.array_equal(electrodes.points, corners.reshape(-1, 3))
     assert electrodes.regular_faces.shape == corners.shape[:2]
     assert np.array_equal(electrodes["electrode"], mesh.contacts.electrode)
-
-
-def test_fields_are_those_of_the_model(sim, written) -> None:
-    body, electrodes = written
     mesh, setting = sim.model.mesh, sim.deformed_layer(BENT)
     deformation = setting.deformation
     fields = setting.conductivity, setting.area_ratio

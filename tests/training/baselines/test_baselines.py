@@ -52,7 +52,7 @@ def test_a_baseline_learns_states_angles_and_touches(dataset, name, tmp_path):
     assert loaded.targets.force
 
 
-def test_it_estimates_only_what_has_labels_and_fills_in_a_bad_channel(dataset):
+def test_baselines_estimate_what_has_labels_and_refuse_unknown_options(dataset):
     flat = dataset.select(dataset.state != State.BEND)
     unknown = np.full_like(flat.touch_force, np.nan)
     flat = replace(flat, bend_angle_deg=0.0 * flat.bend_angle_deg, touch_force=unknown)
@@ -67,6 +67,14 @@ def test_it_estimates_only_what_has_labels_and_fills_in_a_bad_channel(dataset):
     status = np.broadcast_to(np.uint8(np.arange(28) == 5), untouched.status.shape)
     angles = pipeline.perceive(replace(untouched, status=status)).bend_angle_deg
     assert np.sqrt(np.mean((angles - untouched.bend_angle_deg) ** 2)) < 5.0
+    for name, options, message in (
+        ("mlp", {"widht": 3}, "widht"),
+        ("mlp", {"width": 0}, "width of 1"),
+        ("ridge", {"epochs": 3}, "epochs"),
+        ("greit", {"trees": 3}, "no options"),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            Pipeline.fit(dataset, replace(TrainingSettings.preset(name), options=options))
 
 
 @pytest.fixture
@@ -77,7 +85,7 @@ def table():
     return features, truth - truth.mean(axis=0)
 
 
-def test_ridge_is_that_of_scikit_learn_at_the_least_generalised_error(table):
+def test_ridge_and_trees_are_those_of_scikit_learn(table):
     features, truth = table
     errors, fits = [], []
     for parameter in len(features) * PARAMETERS:
@@ -92,10 +100,6 @@ def test_ridge_is_that_of_scikit_learn_at_the_least_generalised_error(table):
     np.testing.assert_allclose(
         RidgeMethod.apply(arrays, features), best.predict(features), atol=1e-9
     )
-
-
-def test_trees_are_those_of_scikit_learn(table):
-    features, truth = table
     features = np.round(features, 1)  # many values on thresholds' own ground
     for wanted in (truth, truth[:, :1]):
         arrays = ExtraTreesMethod.learn(features, wanted, TreeOptions(7, 3), 4, silent)
@@ -104,6 +108,16 @@ def test_trees_are_those_of_scikit_learn(table):
         unseen = np.round(np.random.default_rng(1).normal(size=(200, 6)), 1)
         expected = forest.predict(unseen).reshape(200, -1)
         np.testing.assert_allclose(ExtraTreesMethod.apply(arrays, unseen), expected, atol=1e-6)
+    arrays = {
+        "roots": np.array([0]),
+        "left": np.array([1, -1, -1]),
+        "right": np.array([2, -1, -1]),
+        "feature": np.array([0, -2, -2]),
+        "threshold": np.array([0.5, -2.0, -2.0]),
+        "value": np.array([[0.0], [1.0], [2.0]]),
+    }
+    found = ExtraTreesMethod.apply(arrays, np.array([[0.5], [0.5001]]))
+    assert found.tolist() == [[1.0], [2.0]]
 
 
 @pytest.mark.slow
@@ -121,27 +135,3 @@ def test_centroids_of_pictures_are_where_the_touches_are(tmp_path):
     assert estimate.bend_angle_deg is None
     with pytest.raises(DataError, match="finds touches"):
         Pipeline.fit(data.select(data.state != State.TOUCH), TrainingSettings.preset("greit"))
-
-
-def test_options_that_are_unknown_or_impossible_are_told(dataset):
-    for name, options, message in (
-        ("mlp", {"widht": 3}, "widht"),
-        ("mlp", {"width": 0}, "width of 1"),
-        ("ridge", {"epochs": 3}, "epochs"),
-        ("greit", {"trees": 3}, "no options"),
-    ):
-        with pytest.raises(ConfigurationError, match=message):
-            Pipeline.fit(dataset, replace(TrainingSettings.preset(name), options=options))
-
-
-def test_a_value_on_a_threshold_goes_left():
-    arrays = {
-        "roots": np.array([0]),
-        "left": np.array([1, -1, -1]),
-        "right": np.array([2, -1, -1]),
-        "feature": np.array([0, -2, -2]),
-        "threshold": np.array([0.5, -2.0, -2.0]),
-        "value": np.array([[0.0], [1.0], [2.0]]),
-    }
-    found = ExtraTreesMethod.apply(arrays, np.array([[0.5], [0.5001]]))
-    assert found.tolist() == [[1.0], [2.0]]

@@ -32,7 +32,7 @@ def drawn(seed, parameters=4, measurements=9):
     return rng.normal(size=(parameters, measurements)), rng.uniform(0.5, 2.0, measurements)
 
 
-def test_straight_line():
+def test_bounds_are_those_of_a_line_an_untouched_angle_and_a_boards_readings(sim):
     """y = a + b t with white noise s, by the formulas of linear regression."""
     t, s = np.array([1.0, 2.0, 4.0, 7.0, 11.0]), 0.3
     spread = ((t - t.mean()) ** 2).sum()
@@ -42,6 +42,24 @@ def test_straight_line():
     assert found[0, 1] == pytest.approx(-(s**2) * t.mean() / spread)
     known = cramer_rao_bound(t[None], s)
     assert known[0, 0] == pytest.approx(s**2 / (t**2).sum())
+    found = scene_derivatives(sim, Scene(Bend(10.0))).bound(2e-4)
+    assert len(found.place) == len(found.distance) == len(found.force) == 0
+    slope = np.log(sim.measure(Scene(Bend(10.5))).impedance.real) - np.log(
+        sim.measure(Scene(Bend(9.5))).impedance.real
+    )
+    assert found.angle_deg == pytest.approx(np.sqrt(2.0) * 2e-4 / np.linalg.norm(slope), rel=1e-6)
+    board = Instrument(meter=FourTerminalMeter(source=1e-4, idle=1e-4))
+    found = scene_derivatives(sim, Scene(Bend(10.0)), instrument=board)
+    low, middle, high = (
+        board.transfer_impedance(sim.impedance_matrix(Scene(Bend(angle))), sim.protocol).real
+        for angle in (9.5, 10.0, 10.5)
+    )
+    np.testing.assert_allclose(found.resistance, middle, rtol=1e-9)
+    noise = board.deviation(500.0) / np.abs(middle)  # of the logarithm
+    np.testing.assert_allclose(found.noise(board, 500.0), noise, rtol=1e-9)
+    np.testing.assert_allclose(found.by_angle, np.log(np.abs(high / low)), rtol=1e-5, atol=1e-9)
+    plain = scene_derivatives(sim, Scene(Bend(10.0)))
+    assert np.abs(plain.by_angle - found.by_angle).max() > 0.01 * np.abs(plain.by_angle).max()
 
 
 @pytest.mark.parametrize("deviations", [(1.0, 1.0), (1.0, 0.3), (2.0, 0.05)])
@@ -95,30 +113,6 @@ def test_differences_are_of_second_order_next_to_limits_too(place, force):
     assert found.resistance == pytest.approx(-np.exp(model.logarithm(scene)))
     for each in model.seen:
         model.deformation(each)
-
-
-def test_an_untouched_sensor_has_an_angle(sim):
-    found = scene_derivatives(sim, Scene(Bend(10.0))).bound(2e-4)
-    assert len(found.place) == len(found.distance) == len(found.force) == 0
-    slope = np.log(sim.measure(Scene(Bend(10.5))).impedance.real) - np.log(
-        sim.measure(Scene(Bend(9.5))).impedance.real
-    )
-    assert found.angle_deg == pytest.approx(np.sqrt(2.0) * 2e-4 / np.linalg.norm(slope), rel=1e-6)
-
-
-def test_derivatives_on_a_board_are_those_of_its_readings(sim):
-    board = Instrument(meter=FourTerminalMeter(source=1e-4, idle=1e-4))
-    found = scene_derivatives(sim, Scene(Bend(10.0)), instrument=board)
-    low, middle, high = (
-        board.transfer_impedance(sim.impedance_matrix(Scene(Bend(angle))), sim.protocol).real
-        for angle in (9.5, 10.0, 10.5)
-    )
-    np.testing.assert_allclose(found.resistance, middle, rtol=1e-9)
-    noise = board.deviation(500.0) / np.abs(middle)  # of the logarithm
-    np.testing.assert_allclose(found.noise(board, 500.0), noise, rtol=1e-9)
-    np.testing.assert_allclose(found.by_angle, np.log(np.abs(high / low)), rtol=1e-5, atol=1e-9)
-    plain = scene_derivatives(sim, Scene(Bend(10.0)))
-    assert np.abs(plain.by_angle - found.by_angle).max() > 0.01 * np.abs(plain.by_angle).max()
 
 
 ALIKE = SceneDerivatives(np.ones(3), np.zeros((0, 3, 3)), np.full(3, 0.01))

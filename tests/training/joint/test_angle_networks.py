@@ -86,7 +86,8 @@ def random_networks(members=3, inputs=5):
 # The formulae
 
 
-def test_estimates_are_those_of_dense_networks_and_a_jackknife_of_their_differences():
+def test_networks_are_dense_ones_with_a_jackknife_and_take_a_common_change_out():
+    """The linear estimate of least mean square, beside regression on draws of the same model."""
     networks = random_networks()
     change, features = np.array([0.05, -0.1]), np.array([0.7, 9.0])
     common = 1e-6 * (3.0 * 0.5 + 1.0 * 0.5) / (1.0 + 1e-6 * (3.0 - 0.5))
@@ -100,10 +101,6 @@ def test_estimates_are_those_of_dense_networks_and_a_jackknife_of_their_differen
     assert angle == pytest.approx(means.mean())
     jackknife = 2 / 3 * np.sum((means - means.mean()) ** 2)
     assert deviation**2 == pytest.approx(np.mean(deviations**2) + jackknife)
-
-
-def test_a_common_change_is_taken_out_as_far_as_it_is_likely():
-    """The linear estimate of least mean square, beside regression on draws of the same model."""
     rng, networks = np.random.default_rng(2), random_networks()
     ways = np.array([[1.0, -0.4], [0.0, 0.2]])
     bend = rng.standard_normal((200_000, 2)) @ ways

@@ -59,7 +59,7 @@ def curve(rng):
 # A curve
 
 
-def test_curve_is_that_of_the_plain_formula(curve, rng):
+def test_curves_are_those_of_the_formula_conditioned_by_bayes_rule(curve, rng):
     """Value, slope and covariance equal their plain formulas."""
     own = 1e-3 * rng.standard_normal(curve.effects.shape)
     curve = BendCurve(curve.mean, own, curve.covariance, RANGE)
@@ -80,27 +80,7 @@ def test_curve_is_that_of_the_plain_formula(curve, rng):
         np.testing.assert_allclose(
             curve.uncertainty(angle, 12.0), spread @ curve.covariance @ spread.T, atol=1e-18
         )
-
-
-# Given known angles
-
-
-def posterior(curve, angles, change, noise):
-    """Mean and covariance of w by the information form, measurement by measurement."""
-    precision = np.linalg.inv(curve.covariance)
-    evidence = np.zeros(len(precision))
-    for angle, row in zip(angles, change, strict=True):
-        good = np.isfinite(row)
-        H = np.kron(powers(angle, RANDOM_POWERS)[None], np.eye(CHANNELS))[good]
-        weight = H.T @ np.linalg.inv(noise[np.ix_(good, good)])
-        precision = precision + weight @ H
-        evidence = evidence + weight @ (row - curve.value(angle))[good]
-    covariance = np.linalg.inv(precision)
-    return curve.effects.ravel() + covariance @ evidence, covariance
-
-
-def test_conditioned_is_bayes_rule(curve, rng):
-    """Posterior of the information form, with bad channels, jointly and sequentially."""
+    # Posterior of the information form, with bad channels, jointly and sequentially.
     angles = np.array([-15.0, 20.0, 45.0])
     change = curve.value(angles) + 2e-3 * rng.standard_normal((3, CHANNELS))
     change[1, 2] = change[2, :2] = np.nan
@@ -118,6 +98,23 @@ def test_conditioned_is_bayes_rule(curve, rng):
     for i in range(3):
         turns = turns.condition(angles[i : i + 1], change[i : i + 1], noise)
     np.testing.assert_allclose((turns.effects - said.effects).ravel() / size, 0.0, atol=1e-6)
+
+
+# Given known angles
+
+
+def posterior(curve, angles, change, noise):
+    """Mean and covariance of w by the information form, measurement by measurement."""
+    precision = np.linalg.inv(curve.covariance)
+    evidence = np.zeros(len(precision))
+    for angle, row in zip(angles, change, strict=True):
+        good = np.isfinite(row)
+        H = np.kron(powers(angle, RANDOM_POWERS)[None], np.eye(CHANNELS))[good]
+        weight = H.T @ np.linalg.inv(noise[np.ix_(good, good)])
+        precision = precision + weight @ H
+        evidence = evidence + weight @ (row - curve.value(angle))[good]
+    covariance = np.linalg.inv(precision)
+    return curve.effects.ravel() + covariance @ evidence, covariance
 
 
 def estimated(curve, change):
@@ -142,9 +139,6 @@ def test_stated_error_is_that_of_many_frames(curve, rng):
         assert whole == pytest.approx(np.median(said[1::2, 1]), rel=0.15)
 
 
-# The angle of a frame
-
-
 # Learning from many specimens
 
 
@@ -167,7 +161,7 @@ def made_up(rng, count, frames, covariance, features=None):
 
 
 @pytest.mark.slow
-def test_mixed_model_finds_covariance_and_mean(rng):
+def test_mixed_models_find_covariance_and_moments_are_the_integral_over_angles(rng):
     """Random effects of 400 specimens from sixteen frames each."""
     true = own_covariance(rng)
     curves = BendCurvePrior.fit(made_up(rng, 400, 16, true))
@@ -181,9 +175,31 @@ def test_mixed_model_finds_covariance_and_mean(rng):
         np.testing.assert_allclose(
             curves.predict(()).value(angle), truth.value(angle), atol=4 * np.sqrt(scale.max() / 400)
         )
+    curve, wide = flattening(5e-3), 0
+    for _, combined in frames(curve, 8, np.random.default_rng(3)):
+
+        def density(angle, power, combined=combined):
+            spread = combined.noise + curve.uncertainty(angle)
+            beyond = max(LOW - angle, angle - HIGH, 0.0)
+            likelihood = multivariate_normal(curve.value(angle), spread).pdf(combined.change)
+            return likelihood * np.exp(-beyond) * angle**power
+
+        total, first, second = (
+            quad(density, LOW - 5.0, HIGH + 5.0, (k,), limit=200, points=(LOW, HIGH))[0]
+            for k in range(3)
+        )
+        mean = first / total
+        found = posterior_angle(curve, combined, likeliest(curve, combined))
+        expected = np.sqrt(second / total - mean**2)
+        if expected < NORMAL_DEG:
+            continue
+        wide += 1
+        assert found.angle_deg == pytest.approx(mean, abs=0.1 * expected)
+        assert found.deviation_deg == pytest.approx(expected, rel=0.1)
+    assert wide > 2
 
 
-def test_expected_curves_are_those_conditioned_on_all_frames(rng):
+def test_curves_are_conditioned_on_all_frames_and_less_certain_for_strange_specimens(rng):
     effect = 3e-3 * rng.standard_normal((2, MEAN_POWERS, CHANNELS))
     data = made_up(rng, 12, 5, own_covariance(rng), effect)
     curves = BendCurvePrior.fit(data)
@@ -192,9 +208,6 @@ def test_expected_curves_are_those_conditioned_on_all_frames(rng):
         its = data[data.specimen == number]
         expected = curves.predict(its.features[0]).condition(its.angle_deg, its.change, NOISE)
         np.testing.assert_allclose(found[number], expected.coefficients, rtol=1e-6, atol=1e-9)
-
-
-def test_curves_of_strange_specimens_are_less_certain(rng):
     prior = BendCurvePrior(
         np.concatenate([mean_curve()[None], np.zeros((2, MEAN_POWERS, CHANNELS))]),
         own_covariance(rng),
@@ -240,29 +253,3 @@ def frames(curve, count, rng):
 
 def likeliest(curve, combined, sigma=0.0):
     return AngleEstimate(*estimate_angle(curve, combined.change, combined.noise), sigma)
-
-
-@pytest.mark.slow
-def test_moments_are_those_of_the_integral_over_all_angles():
-    curve, wide = flattening(5e-3), 0
-    for _, combined in frames(curve, 8, np.random.default_rng(3)):
-
-        def density(angle, power, combined=combined):
-            spread = combined.noise + curve.uncertainty(angle)
-            beyond = max(LOW - angle, angle - HIGH, 0.0)
-            likelihood = multivariate_normal(curve.value(angle), spread).pdf(combined.change)
-            return likelihood * np.exp(-beyond) * angle**power
-
-        total, first, second = (
-            quad(density, LOW - 5.0, HIGH + 5.0, (k,), limit=200, points=(LOW, HIGH))[0]
-            for k in range(3)
-        )
-        mean = first / total
-        found = posterior_angle(curve, combined, likeliest(curve, combined))
-        expected = np.sqrt(second / total - mean**2)
-        if expected < NORMAL_DEG:
-            continue
-        wide += 1
-        assert found.angle_deg == pytest.approx(mean, abs=0.1 * expected)
-        assert found.deviation_deg == pytest.approx(expected, rel=0.1)
-    assert wide > 2

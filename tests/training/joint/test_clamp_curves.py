@@ -63,15 +63,22 @@ def rms(values):
     return np.sqrt(np.mean(np.square(values)))
 
 
-def test_the_curve_of_a_clamp_is_that_of_its_specimens_without_their_features():
+def test_curves_of_clamps_are_those_of_specimens_or_of_the_formula_and_unknown_left_alone(
+    monkeypatch,
+):
     made = clamps_of(40)
     found = learned(bent(made))
     own = at_40(found.own)[::6]
     assert found.known.all()
     assert rms(own - expected(made)) < 0.05 * rms(expected(made) - expected(made).mean(0))
-
-
-def test_curves_of_clamps_that_the_set_does_not_have_are_those_of_the_formula(monkeypatch):
+    frames = bent(made)
+    unknown = frames.specimen % 3 == 0
+    frames = dataclasses.replace(frames, clamp=np.where(unknown[:, None], np.nan, frames.clamp))
+    found = learned(frames)
+    assert np.array_equal(found.known, np.arange(240) % 3 != 0)
+    assert not found.own[~found.known].any()
+    scatter = rms(expected(made) - expected(made).mean(axis=0))
+    assert rms(at_40(found.own)[1::6] - expected(made)) < 0.05 * scatter
     ends = np.array([[0.025, 0.004, 1.0, 0.7], [0.060, 0.014, 2.0, 2.8]])
     learned_from = np.concatenate([ends, clamps_of(60)])
     others = clamps_of(30, seed=9)
@@ -84,15 +91,3 @@ def test_curves_of_clamps_that_the_set_does_not_have_are_those_of_the_formula(mo
     found = at_40(learned(bent(learned_from)).drawn)
     scatter = rms(expected(others) - expected(others).mean(axis=0))
     assert rms(found - expected(others)) < 0.05 * scatter
-
-
-def test_specimens_of_unknown_clamps_are_left_alone():
-    made = clamps_of(40)
-    frames = bent(made)
-    unknown = frames.specimen % 3 == 0
-    frames = dataclasses.replace(frames, clamp=np.where(unknown[:, None], np.nan, frames.clamp))
-    found = learned(frames)
-    assert np.array_equal(found.known, np.arange(240) % 3 != 0)
-    assert not found.own[~found.known].any()
-    scatter = rms(expected(made) - expected(made).mean(axis=0))
-    assert rms(at_40(found.own)[1::6] - expected(made)) < 0.05 * scatter

@@ -80,12 +80,10 @@ def assert_same(one, other):
     assert [each.name for each in one.faults] == [each.name for each in other.faults]
 
 
-def test_the_fit_to_combinations_is_the_fit_to_all_measurements():
+def test_combinations_fit_as_all_measurements_leave_out_and_tell_signals_from_noise():
+    """Reciprocal measurements: half of them carry nothing of their own."""
     assert len(FEW) == 30
     assert_same(fitted(FEW, measured()), fitted(ALL, measured()))
-
-
-def test_measurements_that_are_left_out_are_left_out_of_their_combinations():
     change = measured()
     change[[2, 30, 31, 77]] = np.nan
     few = fitted(FEW, change)
@@ -95,10 +93,6 @@ def test_measurements_that_are_left_out_are_left_out_of_their_combinations():
     combined = FEW.combine(change, 2.0, 0.0).drop([2, 30, 31, 77])
     change[[2, 30, 31, 77]] = np.nan
     np.testing.assert_allclose(combined.change, FEW.combine(change, 2.0, 0.0).change, atol=1e-12)
-
-
-def test_signals_are_told_from_noise():
-    """Reciprocal measurements: half of them carry nothing of their own."""
     rng = np.random.default_rng(5)
     shapes = MIX[:, :9]
     change = 1e-2 * rng.standard_normal((600, 9)) @ shapes.T
@@ -126,7 +120,7 @@ def rng():
     return np.random.default_rng(3)
 
 
-def test_features_are_uncorrelated_and_of_variance_one(rng):
+def test_features_are_uncorrelated_of_variance_one_and_bounded_at_the_bound(rng):
     """Unit variance over the specimens and their mirror images."""
     flat = specimens(120, rng)
     features = SpecimenFeatures.fit(flat, IMAGES)
@@ -134,6 +128,12 @@ def test_features_are_uncorrelated_and_of_variance_one(rng):
     assert said.shape == (480, ANGLE_FEATURES)
     np.testing.assert_allclose(said.mean(axis=0), 0.0, atol=1e-9)
     np.testing.assert_allclose(said.T @ said / 480, np.eye(ANGLE_FEATURES), atol=1e-9)
+    features = SpecimenFeatures.fit(specimens(50, rng), IMAGES)
+    near = specimens(1, rng)[0]
+    np.testing.assert_array_equal(features.clip(near), features.apply(near))
+    far = np.exp(features.middle + 12.0 * np.linalg.pinv(features.directions)[:, 0])
+    assert features.apply(far)[0] == pytest.approx(12.0)
+    assert features.clip(far)[0] == CLIP_SIGMA
 
 
 @pytest.mark.parametrize(("count", "kept"), [(2, 0), (4, 0), (5, 1), (14, 2), (40, 8), (300, 20)])
@@ -141,12 +141,3 @@ def test_few_specimens_have_few_features(rng, count, kept):
     features = SpecimenFeatures.fit(specimens(count, rng), IMAGES)
     assert features.directions.shape == (kept, 28)
     assert features.apply(specimens(3, rng)).shape == (3, kept)
-
-
-def test_bounded_features_are_those_of_a_specimen_at_the_bound(rng):
-    features = SpecimenFeatures.fit(specimens(50, rng), IMAGES)
-    near = specimens(1, rng)[0]
-    np.testing.assert_array_equal(features.clip(near), features.apply(near))
-    far = np.exp(features.middle + 12.0 * np.linalg.pinv(features.directions)[:, 0])
-    assert features.apply(far)[0] == pytest.approx(12.0)
-    assert features.clip(far)[0] == CLIP_SIGMA

@@ -57,7 +57,8 @@ def broken(good, bad):
 # What it says
 
 
-def test_idle_bent_and_touched_frames(method):
+def test_idle_bent_and_touched_frames_are_told_and_common_drift_is_neither(method):
+    """Drift of a percent in four hours since the static reference, not the dynamic one."""
     rng = np.random.default_rng(1)
     idle = method.predict(observed(method, rng=rng))
     assert idle.state[0] == State.IDLE
@@ -81,10 +82,6 @@ def test_idle_bent_and_touched_frames(method):
         assert len(said.touches[0]) == 0
         assert not said.touch_map.any()
         assert said.problems == ((),)
-
-
-def test_drift_of_all_channels_is_no_bend_and_no_touch(method):
-    """Drift of a percent in four hours since the static reference, not the dynamic one."""
     aged = observed(method, angle_deg=20.0, age=4 * 3600.0)
     said = method.predict(replace(aged, static=(1.0 + aged.static) * 1.01 - 1.0))
     assert said.bend_angle_deg[0] == pytest.approx(20.0, abs=2.0)
@@ -151,7 +148,7 @@ def calibrated(method, angles=(-15.0, 10.0, 30.0, 45.0), offset=1e-3):
     return adapted, told.calibration
 
 
-def test_arrays_make_it_again(method):
+def test_calibration_makes_angles_surer_and_arrays_make_the_method_again(method):
     """Copies agree to single precision, in which weights are saved."""
     frames = sample(method)
     for one in (method, calibrated(method)[0]):
@@ -162,9 +159,6 @@ def test_arrays_make_it_again(method):
             np.testing.assert_allclose(said[name], array, atol=1e-4)
         np.testing.assert_array_equal(again.combinations.noise, one.combinations.noise)
         assert again.drift == one.drift
-
-
-def test_calibration_makes_angles_right_and_surer(method):
     one, told = calibrated(method)
     frame = observed(method, angle_deg=35.0)
     own = np.exp(1e-3 * 35.0 / 50.0)

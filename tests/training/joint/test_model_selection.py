@@ -1,4 +1,4 @@
-"""Fit of one frame: gradients, recovery, standard errors, number of touches, bad channels."""
+"""How many touches are there, and how large are the errors of their places?"""
 
 from dataclasses import replace
 
@@ -17,10 +17,19 @@ from one_frame import (
     frame,
     residual,
 )
+from scipy.stats import norm
 
+from eitskin.errors import DataError
+from eitskin.training.joint.frame_predictions import (
+    STRANGEST,
+    ErrorScale,
+    disc_map,
+    own_error_scale,
+)
 from eitskin.training.joint.model_selection import fit_frame
 from eitskin.training.joint.objective import Unknowns
 from eitskin.training.joint.touch_search import TOUCH_THRESHOLD, TouchCandidates
+from eitskin.training.method.predictions import FoundTouches
 
 from smooth_sensor import (
     RANGES,
@@ -63,7 +72,7 @@ def test_gradient_is_that_of_finite_differences(kind):
         assert quadratic.products[0, 1:][i] == pytest.approx(expected, rel=1e-4, abs=1e-6 * size)
 
 
-def test_residuals_are_whitened_with_noise_bend_and_response():
+def test_residuals_are_whitened_and_errors_as_large_as_stated():
     """Whitened residuals of many specimens are uncorrelated, with unit variance."""
     rng = np.random.default_rng(4)
     touches, angle, reference, mismatch = np.array(TOUCHES[2]), 40.0, 10.0, 0.1
@@ -82,16 +91,7 @@ def test_residuals_are_whitened_with_noise_bend_and_response():
     change = objective.combined.change
     left = np.array([whitening @ residual(changed(objective, change + w), unknowns) for w in wrong])
     np.testing.assert_allclose(np.cov(left.T), np.eye(28), atol=0.12)
-
-
-# Recovery
-
-
-# Errors, and false alarms
-
-
-def test_errors_are_as_large_as_stated():
-    """Standardised errors of position, force and angle in 60 frames with one touch."""
+    # Standardised errors of position, force and angle in 60 frames with one touch.
     rng = np.random.default_rng(5)
     scores, missed = [], 0
     for _ in range(60):
@@ -107,6 +107,9 @@ def test_errors_are_as_large_as_stated():
     place, angle = np.mean(scores, axis=0)
     assert place == pytest.approx(3.0, abs=1.0)
     assert 0.3 < angle < 1.7
+
+
+# Errors, and false alarms
 
 
 def faint(share):
@@ -128,7 +131,7 @@ def test_noise_alone_is_no_touch(share):
     assert alarms < 2
 
 
-def test_weak_touch_is_found_from_the_threshold_on():
+def test_weak_touches_are_found_and_errors_beyond_the_model_are_none():
     """A touch of growing force is kept once it lowers the misfit by the threshold."""
     weak, tried = faint(0.05)
     whole = weak(np.array(TOUCHES[1]), 0.0)[0]
@@ -136,13 +139,6 @@ def test_weak_touch_is_found_from_the_threshold_on():
         said = fit_frame(replace(changed(frame(), share * whole), response=weak), tried)
         assert len(said.touches) == count
         assert (said.evidence > TOUCH_THRESHOLD) == (count > 0)
-
-
-def test_errors_beyond_the_model_are_no_further_touches():
-    """One touch changes each measurement by a sixth more or less than the response says.
-
-    The errors are seven times the noise. Against noise alone half of the frames have two touches.
-    """
     rng = np.random.default_rng(13)
     change = ONE(np.array(TOUCHES[1]), 0.0)[0]
     noise = rng.multivariate_normal(np.zeros(28), TWO_FRAMES, 20)
@@ -150,3 +146,71 @@ def test_errors_beyond_the_model_are_no_further_touches():
     frames = [changed(frame(), change + each) for each in noise + errors]
     counts = [len(explained(each).touches) for each in frames]
     assert counts.count(1) > 18
+
+
+# Standard errors of places
+
+
+def test_scales_are_the_rms_of_ratios_stored_as_their_terms():
+    touches = np.array([[[0.05, 0.03, 8.0]], [[0.10, 0.03, np.nan]], [[0.02, 0.02, 5.0]]])
+    found = [
+        FoundTouches.from_arrays(
+            [[0.053, 0.034]], [1.0], None, [0.001]
+        ),  # 5 mm, five standard errors
+        FoundTouches.from_arrays([[0.10, 0.028]], [1.0], None, [0.001]),  # two
+        FoundTouches.from_arrays([[0.10, 0.028]], [1.0], None, [0.001]),  # another touch
+    ]
+    assert own_error_scale(touches, found) == pytest.approx(np.sqrt((4 + 25 + 4) / (4 + 2)))
+    assert ErrorScale.from_stored(np.array([3.0, 0.5])) == ErrorScale(3.0, 0.5)
+    assert ErrorScale.from_stored(np.array(2.0)).evaluate(np.array([1.5])) == 2.0
+    for wrong in ([1.0, np.nan], [1.0, -1.0], [1.0, 1.0, 1.0]):
+        with pytest.raises(DataError, match="standard errors"):
+            ErrorScale.from_stored(np.array(wrong))
+
+
+def many(scale: ErrorScale, count: int = 4000):
+    """Touches with normal errors of 1 mm along each axis, times the scale of their sensors."""
+    rng = np.random.default_rng(3)
+    features = rng.standard_normal((count, 2)) * rng.uniform(0.2, 2.0, (count, 1))
+    touches = np.tile([[0.07, 0.03]], (count, 1, 1))
+    factors = np.array([scale.evaluate(p) for p in features])[:, None]
+    places = touches[:, 0] + 1e-3 * factors * rng.standard_normal((count, 2))
+    spread = [np.sqrt(2.0) * 1e-3]
+    found = [FoundTouches.from_arrays(place[None], [1.0], None, spread) for place in places]
+    return touches, found, features
+
+
+@pytest.mark.parametrize(
+    "scale", [ErrorScale(1.5, 0.5), ErrorScale(0.6, 0.0), ErrorScale(1.0, 3.0)]
+)
+def test_the_scale_of_strange_sensors_is_found_again(scale):
+    learned = ErrorScale.fit(*many(scale))
+    # Standard errors of both are 3 to 6 %: squares of normal errors in two dimensions scatter by
+    # their mean.
+    assert learned.usual == pytest.approx(scale.usual, rel=0.1, abs=0.05)
+    assert learned.strange == pytest.approx(scale.strange, rel=0.2, abs=0.05)
+    for features, square in (([0.5, 0.5], 0.25), ([3.0, 1.0], STRANGEST)):
+        expected = np.sqrt(learned.usual + square * learned.strange)
+        assert learned.evaluate(np.array(features)) == pytest.approx(expected)
+
+
+SIZE, RADIUS = (0.150, 0.060), 0.0075
+FINE = (240, 600)  # pixels of 0.25 mm
+
+
+def drawn(places, deviations, shape=FINE):
+    return disc_map(np.array(places), np.array(deviations), RADIUS, SIZE, shape)
+
+
+@pytest.mark.parametrize("deviation", [0.0, 4e-4, 0.003, 0.02])
+def test_map_is_that_of_the_plain_formula(deviation):
+    """Skipping pixels far from a touch changes nothing, also at the sensor's rim."""
+    shape = (32, 80)
+    x, y = (np.arange(80) + 0.5) * SIZE[0] / 80, (np.arange(32) + 0.5) * SIZE[1] / 32
+    places = [[0.002, 0.058], [0.075, 0.030], [0.090, 0.031]]
+    free = np.ones(shape)
+    for px, py in places:
+        away = np.sqrt((x - px) ** 2 + (y[:, None] - py) ** 2)
+        free *= norm.sf((RADIUS - away) / max(deviation, 1e-6))
+    said = drawn(places, [deviation] * 3, shape)
+    np.testing.assert_allclose(said, 1.0 - free, atol=1e-7)

@@ -1,4 +1,4 @@
-"""Response of a sensor by its twin: nearer to the truth, judged by known touches, saved."""
+"""What known touches and the twin of a sensor teach of its response."""
 
 import json
 from dataclasses import replace
@@ -11,7 +11,7 @@ from smooth_joint import LAYOUT, smooth_method
 from eitskin.training.joint.adaptation import own_output, own_response
 from eitskin.training.joint.method import JointMethod
 
-from smooth_sensor import FLAT, MEASUREMENTS, NOISE, TOUCH_PRIOR
+from smooth_sensor import FLAT, MEASUREMENTS, NOISE, TOUCH_PRIOR, response
 
 RADIUS = 0.0075
 
@@ -106,3 +106,84 @@ def test_known_touches_keep_the_twin_of_the_sensor_and_refuse_that_of_another(
     refused, told = method.adapt(replace(known, twin=other))
     assert not told.twin.accepts_twin
     np.testing.assert_array_equal(refused.own_output, method.adapt(known)[0].own_output)
+
+
+# The response conditioned on known touches
+
+
+LATENT = 4
+SPREAD = 3.0  # of the sensors here, in those of `smooth_sensor`, which hardly differ
+
+
+@pytest.fixture(scope="module")
+def smooth():
+    learned = response(mismatch=0.01, features=1, unseen=LATENT)
+    wide = replace(learned, latent_output=SPREAD * learned.latent_output)
+    return replace(smooth_method(), response=wide)
+
+
+def sensor(smooth, latent, strength=1.0):
+    """Response of a sensor with these latent variables (Q,)."""
+    middle = smooth.response.for_specimen(smooth.features.apply(FLAT))
+    more = np.tensordot(latent, smooth.response.latent_output, axes=1)
+    return replace(middle, output=strength * (middle.output + more))
+
+
+def pressed_known(one, count, rng, *, touches=1, forces=True):
+    """Frames of a sensor with known touches."""
+    low, high = TOUCH_PRIOR.low, TOUCH_PRIOR.high
+    margin = np.array([0.01, 0.01, 1.0])
+    known = rng.uniform(low + margin, high - margin, (count, touches, 3))
+    change = np.array([one(each, 0.0).sum(axis=0) for each in known])
+    change += NOISE * rng.standard_normal(change.shape)
+    if not forces:
+        known[..., 2] = np.nan
+    return known_frames(FLAT, 4, change, np.zeros(count), touches=known)
+
+
+def left(smooth, one, rng):
+    """Rms error of the response of an adapted smooth in other touches, relative to these."""
+    touches = rng.uniform(TOUCH_PRIOR.low, TOUCH_PRIOR.high, (200, 3))
+    exact = one(touches, 0.0)
+    error = smooth.specimen_response(FLAT)(touches, 0.0) - exact
+    return np.sqrt(np.mean(error**2) / np.mean(exact**2))
+
+
+@pytest.mark.parametrize(("touches", "forces"), [(1, True), (1, False), (2, True), (2, False)])
+def test_known_touches_bring_the_response_nearer_to_the_sensor(smooth, touches, forces):
+    rng = np.random.default_rng(0)
+    one = sensor(smooth, rng.standard_normal(LATENT))
+    adapted = smooth.adapt(pressed_known(one, 15, rng, touches=touches, forces=forces))[0]
+    assert left(adapted, one, rng) < 0.3 * left(smooth, one, rng)
+
+
+def test_the_strength_of_the_sensor_is_told_by_known_forces(smooth):
+    rng = np.random.default_rng(1)
+    one = sensor(smooth, np.zeros(LATENT), 1.2)
+    known = pressed_known(one, 20, rng)
+    adapted = smooth.adapt(known)[0]
+    said = [each.predict(known.observations).touches for each in (smooth, adapted)]
+    gains = [
+        np.median([f.force[0] / k[0, 2] for f, k in zip(found, known.touches, strict=True)])
+        for found in said
+    ]
+    assert gains[0] > 1.1
+    assert gains[1] == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.slow
+def test_the_covariance_left_is_that_of_the_errors(smooth):
+    """Errors of the latent variables of 20 sensors over their standard deviations."""
+    rng = np.random.default_rng(3)
+    flat = smooth.response.latent_output.reshape(LATENT, -1)
+    ratios = []
+    for _ in range(20):
+        latent = rng.standard_normal(LATENT)
+        adapted = smooth.adapt(pressed_known(sensor(smooth, latent), 4, rng))[0]
+        middle = sensor(smooth, np.zeros(LATENT)).output
+        strength, *found = np.linalg.lstsq(
+            np.vstack([middle.reshape(1, -1), flat]).T, adapted.own_output.ravel(), rcond=None
+        )[0]
+        root = np.linalg.lstsq(flat.T, adapted.own_latent.reshape(LATENT, -1).T, rcond=None)[0]
+        ratios.append(np.linalg.solve(root / strength, np.array(found) / strength - latent))
+    assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.2

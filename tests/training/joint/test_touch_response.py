@@ -1,20 +1,27 @@
-"""Touch response: derivatives, superposition, copies, and training."""
+"""The learned response to touches, what proposes them, and the mirrors that both obey."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 import torch
 from made_up_frames import made_up_frames
 
-from eitskin.training.joint.touch_response import TouchPrior
+from eitskin.geometry import Bend, Polygon, SensorDesign
+from eitskin.simulator import Protocol, Scene, Simulator, Touch
+from eitskin.training.joint import touch_training
+from eitskin.training.joint.networks import ProposalNetwork
+from eitskin.training.joint.touch_response import MAX_TOUCHES, TouchPrior
 from eitskin.training.joint.touch_training import (
     ResponseNetwork,
+    SyntheticFrames,
     folded_response,
     packed_inputs,
 )
+from eitskin.training.method.input_spec import mirrors
 
-from smooth_sensor import RANGES, SIZE, TOUCH_PRIOR, response, touch_change
+from smooth_sensor import MEASUREMENTS, RANGES, SIZE, TOUCH_PRIOR, curves, response, touch_change
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +109,7 @@ Y = np.array([[0.020, 0.020, NAN], [0.030, NAN, NAN], [0.050, 0.010, 0.030]])
 FORCE = np.array([[4.0, 6.0, NAN], [8.0, NAN, NAN], [4.0, 10.0, 6.0]])
 
 
-def test_prior_is_estimated_from_touches():
+def test_priors_are_estimated_and_followed_with_changes_of_the_response():
     """Bounds lie 3 mm and 30 % beyond the touches, but on the sensor."""
     prior = TouchPrior.fit(np.stack([X, Y, FORCE], axis=-1), SIZE, 0.0075)
     np.testing.assert_allclose(prior.low, [0.0, 0.007, 0.3 * 4.0])
@@ -112,3 +119,130 @@ def test_prior_is_estimated_from_touches():
     mean = known.mean()
     assert prior.force == pytest.approx((mean, np.hypot(known.std(), 0.15 * mean)))
     np.testing.assert_allclose(prior.box[0], [0.0615, 0.030, mean])
+    # The mean change over specimens and noise is that of `TouchResponse`.
+    _, places = made_frames(4000)
+    there = np.isfinite(places[..., 0])
+    counts = there.sum(axis=1)
+    assert set(counts) == {0, 1, 2, 3, 4}
+    assert 0.12 < np.mean(counts == 0) < 0.3
+    for axis in range(2):
+        values = places[..., axis][there]
+        assert TOUCH_PRIOR.low[axis] <= values.min() < TOUCH_PRIOR.low[axis] + 0.002
+        assert TOUCH_PRIOR.high[axis] - 0.002 < values.max() <= TOUCH_PRIOR.high[axis]
+    for i in range(MAX_TOUCHES):
+        for j in range(i):
+            apart = np.hypot(*(places[:, i] - places[:, j]).T)
+            assert np.nanmin(apart) >= TOUCH_PRIOR.separation
+    rng = np.random.default_rng(2)
+    touches = np.full((2000, MAX_TOUCHES, 3), np.nan)
+    touches[:, 0] = [0.05, 0.02, 9.0]
+    angle, features = np.full(2000, 20.0), np.zeros((2000, 1))
+    change = MODEL.touch_changes(touches, angle, features, rng)
+    expected = MODEL.response.for_specimen([0.0])(touches[0, :1], 20.0)[0]
+    strong = expected > 0.3 * expected.max()
+    mean = change.mean(axis=0) / np.exp(0.5 * touch_training.LOG_SENSITIVITY_STD**2)
+    np.testing.assert_allclose(mean[strong], expected[strong], rtol=0.02)
+    spread = np.std(change / expected, axis=0)[strong]
+    np.testing.assert_allclose(spread, np.hypot(touch_training.LOG_SENSITIVITY_STD, 0.1), rtol=0.1)
+
+
+# Made-up frames and the places that are proposed
+
+
+MODEL = SyntheticFrames(
+    response(mismatch=0.1, features=1), curves(features=1), TOUCH_PRIOR, MEASUREMENTS
+)
+
+
+def made_frames(count, seed=1):
+    return MODEL.frames(count, np.random.default_rng(seed))
+
+
+# CombinedChange the map
+
+
+def picture(*touches):
+    """Network of constant output: bumps of these x, y and values."""
+    columns, rows = np.linspace(0.01, 0.14, 27), np.linspace(0.01, 0.05, 9)
+    x, y = np.meshgrid(columns, rows)
+    values = np.full(x.shape, 1e-3)
+    for px, py, value in touches:
+        bump = value * np.exp(-0.5 * ((x - px) ** 2 + (y - py) ** 2) / 0.004**2)
+        values = np.maximum(values, bump)
+    logits = np.log(values / (1.0 - values)).ravel()
+    return ProposalNetwork((np.zeros((len(logits), 3)),), (logits,), columns, rows)
+
+
+def test_maps_are_those_of_the_formula_and_places_their_peaks():
+    rng = np.random.default_rng(7)
+    sizes = (30, 64, 64, 40)
+    weights = tuple(rng.standard_normal((m, n)) / n**0.5 for n, m in pairwise(sizes))
+    biases = tuple(rng.standard_normal(m) for m in sizes[1:])
+    network = ProposalNetwork(weights, biases, np.arange(8.0), np.arange(5.0))
+    inputs = hidden = rng.standard_normal(30)
+    for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
+        before = weight @ hidden + bias
+        hidden = before / (1.0 + np.exp(-before))
+    expected = 1.0 / (1.0 + np.exp(-(weights[-1] @ hidden + biases[-1])))
+    said = network.map(inputs)
+    assert said.shape == (5, 8)
+    np.testing.assert_allclose(said.ravel(), expected, atol=1e-5)
+    found = picture((0.032, 0.023, 0.5), (0.112, 0.037, 0.9)).places(np.zeros(3), 0.030)
+    np.testing.assert_allclose(found, [[0.112, 0.037], [0.032, 0.023]], atol=1.5e-3)
+
+
+# Mirrors
+
+
+NONE, ACROSS_X, ACROSS_Y, TURNED = (False, False), (True, False), (False, True), (True, True)
+PAIRWISE = Protocol.pairwise(8)
+
+
+def flips(design, protocol=PAIRWISE):
+    return [mirror.flips for mirror in mirrors(design, protocol)]
+
+
+def with_electrode(number, **changes):
+    design = SensorDesign.reference()
+    electrodes = list(design.electrodes)
+    electrodes[number] = replace(electrodes[number], **changes)
+    return replace(design, electrodes=tuple(electrodes))
+
+
+def test_touch_in_the_mirror_measures_what_the_mirror_says():
+    """Agreement to rounding, because the mesh has the sensor's symmetries."""
+    design, protocol = SensorDesign.reference(), Protocol.opposite(8)
+    simulator = Simulator(design, "coarse", protocol=protocol)
+
+    def magnitudes(x, y):
+        scene = Scene(Bend(20.0), (Touch(float(x), float(y), 8.0),))
+        return np.abs(simulator.measure(scene).impedance)
+
+    here = magnitudes(0.045, 0.021)
+    for mirror in mirrors(design, protocol)[1:]:
+        there = magnitudes(*mirror.places(np.float64(0.045), np.float64(0.021)))
+        assert not np.allclose(there, here, rtol=1e-4)
+        np.testing.assert_allclose(there, here[mirror.order], rtol=1e-8)
+
+
+CORNERS = ((0.0, 0.0), (0.15, 0.0), (0.15, 0.06), (0.0, 0.06))
+CUT = ((0.0, 0.0), (0.15, 0.0), (0.15, 0.048), (0.14, 0.06), (0.0, 0.06))
+REFERENCE = SensorDesign.reference()
+
+
+@pytest.mark.parametrize(
+    ("design", "kept"),
+    [
+        (with_electrode(0, x=0.025), [NONE]),
+        (with_electrode(0, contact_impedance=2e-3), [NONE]),
+        (with_electrode(0, width=0.006), [NONE]),
+        (with_electrode(0, height=0.003), [NONE]),
+        (with_electrode(1, contact_impedance=2e-3), [NONE, ACROSS_X]),
+        (with_electrode(3, contact_impedance=2e-3), [NONE, ACROSS_Y]),
+        (replace(REFERENCE, outline=Polygon(CORNERS)), [NONE, ACROSS_X, ACROSS_Y, TURNED]),
+        (replace(REFERENCE, outline=Polygon(CUT)), [NONE]),
+        (replace(REFERENCE, electrodes=REFERENCE.electrodes[:4]), [NONE]),
+    ],
+)
+def test_outline_and_electrodes_must_have_images(design, kept):
+    assert flips(design, Protocol.pairwise(len(design.electrodes))) == kept

@@ -53,11 +53,29 @@ def candidates():
     return TouchCandidates(places(), force, ONE(touches, 10.0))
 
 
-def test_steps_that_fail_become_shorter_until_the_fit_is_found():
+def test_steps_are_the_least_damped_shorter_where_they_fail_and_stay_at_bounds(linear):
     whole = frame(TOUCHES[3], 20.0, 12.0, np.random.default_rng(1))
     near = np.array([[0.050, 0.030, 6.0], [0.062, 0.036, 11.0], [0.055, 0.020, 8.0]])
     start = whole.linearise(Unknowns(near, -10.0))
     assert levenberg_marquardt(whole, start, 20, 1e-6, whole.whitening(start)).misfit < 28.0
+    unit = np.eye(7) + np.diag(np.diag(linear.products[1:, 1:]))
+    steps = [
+        np.linalg.solve(linear.products[1:, 1:] + d * unit, linear.products[0, 1:])
+        for d in DAMPINGS
+    ]
+    lengths = np.abs(steps).max(axis=1)
+    for radius in (lengths[0], lengths[3], lengths[8], 1e-9):
+        within = np.append(np.flatnonzero(lengths <= 1.0001 * radius), len(steps) - 1)[0]
+        step, _ = trust_step(linear.products, NOWHERE, FRAME, 1.0001 * radius)
+        np.testing.assert_allclose(step, steps[within], rtol=1e-8)
+    held = np.arange(7) % 3 == 1
+    at = np.where(
+        held[1:], np.sign(linear.products[0, 1:][1:]), -np.sign(linear.products[0, 1:][1:])
+    )
+    step, _ = trust_step(linear.products, at.reshape(2, 3), FRAME, np.inf)
+    expected = np.linalg.lstsq(linear.jacobian[:, ~held], linear.residual, rcond=None)[0]
+    np.testing.assert_allclose(step[~held], expected, rtol=1e-4)
+    np.testing.assert_allclose(step[held], 0.0, atol=1e-6)
 
 
 def test_best_pairs_are_those_of_a_loop_over_all(objective, candidates):
@@ -85,7 +103,8 @@ def test_best_pairs_are_those_of_a_loop_over_all(objective, candidates):
         np.testing.assert_allclose(pair.touches[-2:, 2], best[2], rtol=1e-6)
 
 
-def test_possible_faults_are_every_channel_and_every_contact():
+def test_faults_are_every_channel_and_contact_weighed_by_density_and_no_touch_near_them():
+    """Against the normal density with the faults' covariance, the best of all sets by hand."""
     flat = FLAT.copy()
     flat[3] = np.nan
     said = possible_faults(PROTOCOL, flat)
@@ -98,58 +117,11 @@ def test_possible_faults_are_every_channel_and_every_contact():
         share = np.where(np.isnan(flat), 0.0, np.nanmedian(flat) / flat)
         np.testing.assert_allclose(change, np.where(through, share, 0.0))
     assert len(said.faults) == 36
-
-
-NOWHERE = np.zeros((0, 3))  # no unknown has bounds
-FRAME = np.zeros(1), np.zeros(5), np.array([[0.0] * 3] * 2 + [[-1.0] * 3, [1.0] * 3])
-
-
-@pytest.fixture
-def linear():
-    """Residual (20,) and Jacobian (20, 7) of a linear problem, and the products of both."""
-    rng = np.random.default_rng(0)
-    jacobian, residual = rng.standard_normal((20, 7)), 30.0 * rng.standard_normal(20)
-    both = np.column_stack([residual, jacobian])
-    return SimpleNamespace(residual=residual, jacobian=jacobian, products=both.T @ both)
-
-
-def test_steps_are_the_least_damped_ones_within_their_region(linear):
-    unit = np.eye(7) + np.diag(np.diag(linear.products[1:, 1:]))
-    steps = [
-        np.linalg.solve(linear.products[1:, 1:] + d * unit, linear.products[0, 1:])
-        for d in DAMPINGS
-    ]
-    lengths = np.abs(steps).max(axis=1)
-    for radius in (lengths[0], lengths[3], lengths[8], 1e-9):
-        within = np.append(np.flatnonzero(lengths <= 1.0001 * radius), len(steps) - 1)[0]
-        step, _ = trust_step(linear.products, NOWHERE, FRAME, 1.0001 * radius)
-        np.testing.assert_allclose(step, steps[within], rtol=1e-8)
-
-
-def test_unknowns_stay_at_bounds_that_they_would_cross_and_the_others_take_them_for_known(linear):
-    held = np.arange(7) % 3 == 1
-    at = np.where(
-        held[1:], np.sign(linear.products[0, 1:][1:]), -np.sign(linear.products[0, 1:][1:])
-    )
-    step, _ = trust_step(linear.products, at.reshape(2, 3), FRAME, np.inf)
-    expected = np.linalg.lstsq(linear.jacobian[:, ~held], linear.residual, rcond=None)[0]
-    np.testing.assert_allclose(step[~held], expected, rtol=1e-4)
-    np.testing.assert_allclose(step[held], 0.0, atol=1e-6)
-
-
-# Bad measurements and contacts: left out, told, and no touches
-
-
-def test_touches_near_electrodes_are_no_faults():
     rng = np.random.default_rng(12)
     for x, y in ((0.0225, 0.010), (0.075, 0.012), (0.140, 0.030)):
         found = explained(frame([[x, y, 8.0]], 0.0, 0.0, rng, mismatch=0.05))
         assert len(found.touches) == 1
         assert found.faults == ()
-
-
-def test_faults_are_weighed_by_their_density():
-    """Against the normal density with the faults' covariance, the best of all sets by hand."""
     rng = np.random.default_rng(4)
     possible = possible_faults(PROTOCOL, FLAT)
     combined = frame((), 0.0, 0.0, rng).combined
@@ -166,3 +138,19 @@ def test_faults_are_weighed_by_their_density():
         expected = -2.0 * log - 28 * np.log(2.0 * np.pi) + FAULT_PRICE * len(numbers)
         assert faulty.improbability == pytest.approx(expected, rel=1e-6)
         assert np.abs(faulty.rest.measured).max() < 0.3 * np.abs(measured).max()
+
+
+NOWHERE = np.zeros((0, 3))  # no unknown has bounds
+FRAME = np.zeros(1), np.zeros(5), np.array([[0.0] * 3] * 2 + [[-1.0] * 3, [1.0] * 3])
+
+
+@pytest.fixture
+def linear():
+    """Residual (20,) and Jacobian (20, 7) of a linear problem, and the products of both."""
+    rng = np.random.default_rng(0)
+    jacobian, residual = rng.standard_normal((20, 7)), 30.0 * rng.standard_normal(20)
+    both = np.column_stack([residual, jacobian])
+    return SimpleNamespace(residual=residual, jacobian=jacobian, products=both.T @ both)
+
+
+# Bad measurements and contacts: left out, told, and no touches

@@ -1,11 +1,14 @@
-"""Input and output of a method: noise, targets that have labels, what is held out, touches."""
+"""Observations that methods learn from, and the fields that they are stored in."""
 
 import copy
 import dataclasses
+from dataclasses import dataclass, field
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from touched_dataset import touched_dataset
 
 from eitskin.datasets import Dataset, State
@@ -17,6 +20,11 @@ from eitskin.training import FoundTouches
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.observations import Observations, channel_noise, frame_noise
 from eitskin.training.method.settings import TrainingSettings, hold_out
+from eitskin.training.method.stored_fields import (
+    GIVEN_FIELD,
+    StoredField,
+    StoredFields,
+)
 from eitskin.training.method.targets import (
     Targets,
     require_targets,
@@ -94,12 +102,9 @@ def test_targets_are_what_frames_have_labels_for(data, targets, missing):
     assert targets.positions_only == (data.touch_count > 0).all()
 
 
-def test_frames_without_any_target_are_refused():
+def test_states_and_angles_follow_from_labels_or_frames_are_refused():
     with pytest.raises(DataError, match="3 idle, 0 touch"):
         require_targets(frames([0, 0, 0]))
-
-
-def test_states_and_angles_follow_from_other_labels():
     data = with_implied_labels(frames([UNKNOWN] * 3, [0.0, 20.0, np.nan]))
     assert data.state.tolist() == [State.IDLE, State.BEND, UNKNOWN]
     data = with_implied_labels(frames([UNKNOWN, 0, UNKNOWN], touched=[0]))
@@ -107,9 +112,14 @@ def test_states_and_angles_follow_from_other_labels():
     assert data.bend_angle_deg.tolist() == [0.0] * 3  # of a sensor that is never bent
     bent = frames([0, 2], [np.nan, np.nan])
     assert np.isnan(with_implied_labels(bent).bend_angle_deg).all()
+    both = FoundTouches.from_arrays([[0.1, 0.2], [0.3, 0.4]], [0.5, 0.9], [7.0, 8.0], [1e-3, 2e-3])
+    first, second = both
+    assert tuple(first) == (first.x, first.y, first.strength) == (0.3, 0.4, 0.9)
+    assert (first.force, first.deviation, len(first)) == (8.0, 2e-3, 3)
+    assert copy.copy(second).force == 7.0
 
 
-def test_whole_specimens_are_held_out_however_few():
+def test_specimens_or_the_end_of_a_single_one_are_held_out():
     data = dataclasses.replace(
         frames([0, 1] * 20),
         reference=np.ones((4, 6)),
@@ -123,22 +133,11 @@ def test_whole_specimens_are_held_out_however_few():
     settings = TrainingSettings(seed=3, whole_specimens=True)
     assert [len(part) for part in settings.split(data)] == [30, 10, 10]
     assert [len(part) for part in TrainingSettings().split(data)] == [20, 10, 10]
-
-
-def test_the_end_of_a_single_specimen_is_held_out_state_by_state():
     states = np.array([0] * 10 + [1] * 20)
     data = frames(states, time=np.arange(30.0)[::-1])
     kept, held_out = hold_out(data)
     assert held_out.tolist() == [0, 1, 10, 11, 12, 13]
     assert len(kept) == 24
-
-
-def test_a_touch_unpacks_as_three_and_knows_five():
-    both = FoundTouches.from_arrays([[0.1, 0.2], [0.3, 0.4]], [0.5, 0.9], [7.0, 8.0], [1e-3, 2e-3])
-    first, second = both
-    assert tuple(first) == (first.x, first.y, first.strength) == (0.3, 0.4, 0.9)
-    assert (first.force, first.deviation, len(first)) == (8.0, 2e-3, 3)
-    assert copy.copy(second).force == 7.0
 
 
 # Sensors that a pipeline takes for its own, by how its training specimens scatter
@@ -155,7 +154,7 @@ def of_specimens(scatter):
     return InputSpec.from_dataset(data, SensorDesign.reference(), PROTOCOL), rng
 
 
-def test_another_order_of_the_electrodes_is_named_however_sensors_scatter():
+def test_sensors_that_scatter_are_taken_once_known_and_electrode_orders_are_named():
     flat = 500.0 * np.exp(0.3 * np.random.default_rng(4).normal(size=28))
     rows = {frozenset(row[:2]): number for number, row in enumerate(PROTOCOL.table)}
 
@@ -170,9 +169,6 @@ def test_another_order_of_the_electrodes_is_named_however_sensors_scatter():
             refuse(plugged(exchanged).astype(complex))
         with pytest.raises(FrameError, match="counted backwards from 3 on"):
             refuse(plugged(backwards).astype(complex))
-
-
-def test_a_sensor_that_scatters_more_is_taken_once_its_flat_values_are_known():
     spec, rng = of_specimens(0.01)
     strange = 1.5 * FLAT * np.exp(0.2 * rng.normal(size=28))
     with pytest.raises(FrameError, match=r"expected up to 10\.0%"):
@@ -187,3 +183,44 @@ def test_a_sensor_that_scatters_more_is_taken_once_its_flat_values_are_known():
         spec.require_same_sensor(
             (FLAT * np.exp(0.8 * rng.normal(size=28))).astype(complex), adapting=True
         )
+
+
+# Stored fields
+
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Part(StoredFields):
+    values: Annotated[Array, StoredField(single=True)]
+    size: Annotated[float, StoredField("numbers")]
+    ends: Annotated[tuple[int, int], StoredField("numbers")]
+
+
+@dataclass(frozen=True)
+class Whole(StoredFields):
+    sensor: Annotated[str, GIVEN_FIELD]
+    part: Part
+    layers: Annotated[tuple[Array, ...], StoredField("layer")]
+    none: Part | None
+    names: tuple[int, ...] = (7,)
+    half: Array = field(init=False)
+
+    def __post_init__(self):
+        object.__setattr__(self, "half", 0.5 * self.part.values)
+
+
+WHOLE = Whole("disc", Part(np.arange(3.0), 0.5, (2, 4)), (np.eye(2), np.ones(1)), None)
+
+
+def test_arrays_have_the_names_of_fields_and_restore_them():
+    arrays = WHOLE.arrays()
+    assert set(arrays) == {"part.values", "part.numbers", "layer0", "layer1", "names"}
+    assert arrays["part.values"].dtype == np.float32
+    np.testing.assert_array_equal(arrays["part.numbers"], [0.5, 2, 4])
+    again = Whole.from_arrays({**arrays, "of_others": np.ones(2)}, sensor="disc")
+    assert (again.sensor, again.none, again.names) == ("disc", None, (7,))
+    assert (again.part.size, again.part.ends) == (0.5, (2, 4))
+    np.testing.assert_array_equal(again.half, WHOLE.half)
+    assert [layer.shape for layer in again.layers] == [(2, 2), (1,)]

@@ -167,7 +167,7 @@ def test_mirror_images_are_drawn_with_their_targets():
     assert mirror_samples(batch, flips[:1]) is batch
 
 
-def test_settings_are_the_papers_or_refused():
+def test_settings_are_the_papers_and_touches_weighted_centroids_strongest_first():
     whole = TrainingSettings.preset("paper")
     paper = whole.classifier
     assert (paper.learning_rate, paper.epochs, paper.batch, paper.noise) == (1e-5, 150, 64, 0)
@@ -175,12 +175,6 @@ def test_settings_are_the_papers_or_refused():
     for make in (lambda: NetworkSettings(0.0, epochs=1), lambda: TrainingSettings.preset("best")):
         with pytest.raises(ConfigurationError):
             make()
-
-
-# Touches in a map
-
-
-def test_touches_are_weighted_centroids_strongest_first():
     touch_map = np.zeros((32, 80))
     touch_map[10:14, 20:24] = 0.8
     touch_map[20:24, 60:64] = [[0.5, 0.5, 1.0, 1.0]] * 4
@@ -201,7 +195,7 @@ def jacobian():
     return np.random.default_rng(0).normal(size=(12, 128)) * np.geomspace(0.4, 1, 128)
 
 
-def test_noise_of_channels_weighs_them_as_in_the_map_estimate(jacobian):
+def test_channels_weigh_by_noise_which_signal_to_noise_takes_off(jacobian):
     noise = np.geomspace(1e-4, 1e-1, 12)
     made = Reconstruction.fit(jacobian, 20.0, SHAPE, noise)
     precision = np.diag(noise**-2)
@@ -213,16 +207,10 @@ def test_noise_of_channels_weighs_them_as_in_the_map_estimate(jacobian):
     alike = Reconstruction.fit(jacobian, 20.0, SHAPE, np.full(12, 0.3)).matrix
     plain = Reconstruction.fit(jacobian, 20.0, SHAPE).matrix
     np.testing.assert_allclose(alike, plain, rtol=1e-9)
-
-
-def test_signal_to_noise_takes_the_noise_off():
     touch = np.random.default_rng(2).normal(size=(5000, 20)) * np.hypot(3.0, 1.0)
     assert signal_to_noise(touch, 1.0) == pytest.approx(3.0, rel=0.02)
     assert signal_to_noise(touch, 0.0) == MAX_SNR
     assert 0 < signal_to_noise(touch, 100.0) < 1
-
-
-def test_refusals(jacobian):
     assert Reconstruction.fit(jacobian, snr=np.inf, shape=SHAPE).regularisation > 0
     with pytest.raises(ConfigurationError, match=r"128 columns.*got 120"):
         Reconstruction.fit(jacobian[:, :120], snr=20.0, shape=SHAPE)

@@ -114,7 +114,9 @@ def test_a_gel_that_is_never_touched(never_touched):
     assert (report.touches, report.untouched) == ({}, None)
 
 
-def test_the_method_is_chosen_by_held_out_specimens():
+def test_methods_are_chosen_by_held_out_specimens_what_is_not_estimated_as_guessed(
+    never_touched, monkeypatch
+):
     """The joint method is refused for so few frames; what is left is chosen, and doubted."""
     data, told = frames([State.IDLE, State.TOUCH]), []
     found = Selection.from_dataset(
@@ -130,11 +132,14 @@ def test_the_method_is_chosen_by_held_out_specimens():
     warnings = data_warnings(data, found.evaluation)
     assert "3 specimens are few, 1 of them held out" in warnings[0]
     assert "16 frames of the state idle are few" in warnings[1]
-
-
-def test_candidates_without_hope_are_not_trained_to_the_end(never_touched, monkeypatch):
-    """A brief comparison leaves those that may win, and the last word has the whole training."""
     data = frames(list(State))
+    losses = quantity_losses(
+        Evaluation.from_dataset(never_touched, data), Targets.from_dataset(data)
+    )
+    assert losses["touches"] == 1.0
+    assert losses["angle"] < 0.2
+    assert losses["state"] >= 1 / 3  # no touch is recognised
+    # A brief comparison leaves those that may win, and the last word has the whole training.
     evaluation, trained = Evaluation.from_dataset(never_touched, data), []
     brief, whole = {"joint": 0.2, "quick": 0.3, "paper": 0.5}, {"joint": 0.2, "quick": 0.1}
 
@@ -152,13 +157,3 @@ def test_candidates_without_hope_are_not_trained_to_the_end(never_touched, monke
     assert found.trials[2].as_dict()["stopped"]
     brief["quick"], whole["joint"] = 0.5, 0.3
     assert Selection.from_dataset(data).preset == "joint"
-
-
-def test_what_is_not_estimated_counts_as_guessed(never_touched):
-    data = frames(list(State))
-    losses = quantity_losses(
-        Evaluation.from_dataset(never_touched, data), Targets.from_dataset(data)
-    )
-    assert losses["touches"] == 1.0
-    assert losses["angle"] < 0.2
-    assert losses["state"] >= 1 / 3  # no touch is recognised

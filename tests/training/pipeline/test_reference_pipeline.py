@@ -53,7 +53,7 @@ def assert_touched(said, *places):
     assert np.linalg.norm(np.subtract(found, sorted(places)), axis=1).max() < 5e-3
 
 
-def test_it_says_where_a_bent_sensor_is_touched(session):
+def test_bent_sensors_are_told_where_touched_and_capacitances_by_phases(session):
     bend, places = Bend(30.0), [(0.040, 0.020), (0.110, 0.040)]
     for _ in range(3):
         bent = session(Scene(bend))
@@ -65,6 +65,11 @@ def test_it_says_where_a_bent_sensor_is_touched(session):
     assert session(Scene(bend)).state is State.BEND
     moving = session(Scene(Bend(34.0), (Touch(0.030, 0.030, 10.0),)))
     assert_touched(moving, (0.030, 0.030))
+    flat = session.simulator.measure(Scene(), Instrument(), session.rng).impedance
+    leaking = flat / (1.0 + 0.02j * (np.arange(len(flat)) == 5))
+    for impedance, told in ((flat, False), (leaking, True), (leaking * np.exp(0.003j), True)):
+        said = session(Scene(), impedance=impedance)
+        assert any("a capacitance" in each for each in said.problems) == told
 
 
 @pytest.mark.parametrize(("angle_deg", "outside"), [(48.0, False), (70.0, True), (-32.0, True)])
@@ -165,7 +170,7 @@ def test_a_step_of_the_boards_gain_or_phase_is_taken_back(session, simulator, ga
 
 
 @pytest.mark.slow
-def test_a_loud_board_hides_no_touch_in_its_references(simulator):
+def test_loud_boards_hide_no_touch_and_faint_touches_are_told_together(simulator):
     """Three times the noise of training: frames are still, and a touch stays one for long."""
     session, loud = Session(simulator), Instrument(snr_db=65.5)
     session.frame = lambda scene, **changes: replace(
@@ -180,11 +185,7 @@ def test_a_loud_board_hides_no_touch_in_its_references(simulator):
     errors = [np.hypot(each.touches[0].x - 0.040, each.touches[0].y - 0.030) for each in said[8:]]
     assert np.sqrt(np.mean(np.square(errors))) < 5e-3
     assert {session(Scene()).state for _ in range(3)} == {State.IDLE}
-
-
-@pytest.mark.slow
-def test_a_faint_touch_is_told_by_its_frames_together(simulator):
-    """Too faint for one frame; the references take in none of it."""
+    # Too faint for one frame; the references take in none of it.
     session, loud = Session(simulator), Instrument(snr_db=66.0)
     session.frame = lambda scene, **changes: replace(
         Session.frame(session, scene, **changes),
@@ -240,14 +241,6 @@ def test_a_held_touch_is_not_lost_while_the_sensor_bends(faces, noise):
             ]
             error = abs(said.bend_angle_deg - scene.bend.angle_deg)
             assert error < max(2.0, 3.0 * said.bend_deviation_deg)
-
-
-def test_a_capacitance_across_electrodes_is_told_by_phases(session):
-    flat = session.simulator.measure(Scene(), Instrument(), session.rng).impedance
-    leaking = flat / (1.0 + 0.02j * (np.arange(len(flat)) == 5))
-    for impedance, told in ((flat, False), (leaking, True), (leaking * np.exp(0.003j), True)):
-        said = session(Scene(), impedance=impedance)
-        assert any("a capacitance" in each for each in said.problems) == told
 
 
 @pytest.mark.slow

@@ -1,5 +1,7 @@
-"""References of a session, the order of its frames, and doubts about its start."""
+"""Sessions: references, order of frames, doubts, and references that are stored."""
 
+import dataclasses
+import json
 import math
 from functools import lru_cache
 
@@ -8,12 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eitskin.simulator import Frame, Protocol
+from eitskin.datasets import State
+from eitskin.errors import ConfigurationError, DataError, FrameError
+from eitskin.geometry import Bend, SensorDesign
+from eitskin.simulator import Frame, Protocol, Scene, Simulator, Touch
+from eitskin.training import StoredReference, Zero
 from eitskin.training.method.observations import relative_difference
 from eitskin.training.pipeline.flat_sensors import FALSE_ALARM, MIN_SPECIMENS, FlatSensors
 from eitskin.training.pipeline.frame_order import MAX_ELAPSED_TIME, SessionOrder
 from eitskin.training.pipeline.held_touch import HeldTouch
-from eitskin.training.pipeline.references import MAX_MEAN_FRAMES
+from eitskin.training.pipeline.references import FORMAT_VERSION, MAX_MEAN_FRAMES
 from eitskin.training.pipeline.session import Session
 
 NOISE = 3e-4  # of the difference of two frames
@@ -45,7 +51,7 @@ def test_difference_is_relative_real_and_blind_to_gain_and_phase(gain, phase):
     assert relative_difference(V * turned, ref * turned) == pytest.approx(((V - ref) / ref).real)
 
 
-def test_references_are_means_of_a_still_sensor():
+def test_references_are_means_of_a_still_sensor_frozen_by_a_touch_until_a_new_beginning():
     """Of the opening for the static one, of the latest stillness for the dynamic one."""
     for count in (2, 5, MAX_MEAN_FRAMES):
         still = frames(FLAT, count)
@@ -64,9 +70,6 @@ def test_references_are_means_of_a_still_sensor():
     slow = averaged(FLAT * drift[:, None])
     assert error(slow.touch, FLAT * drift[-1]) < 2 * NOISE
     assert error(slow.bend, FLAT) < NOISE  # or a slow bend would become the zero
-
-
-def test_a_touch_freezes_the_references_and_a_new_beginning_forgets_them():
     session = averaged(frames(FLAT, 5))
     session.renew(FLAT, touched=True)
     frozen, opening = session.touch.copy(), session.bend.copy()
@@ -202,7 +205,7 @@ def test_flat_sensors_are_seldom_doubted(count):
     assert np.quantile(chances, [0.1, 0.5, 0.9]) == pytest.approx([0.1, 0.5, 0.9], abs=0.2)
 
 
-def test_bent_and_odd_sensors_are_doubted():
+def test_bent_and_odd_sensors_are_doubted_by_a_distribution_of_specimens():
     starts = [known().judge(each) for each in sensors(200, 40.0, seed=4)]
     assert np.mean(["a bend of" in start.doubt for start in starts]) > 0.9
     errors = np.array([(start.bend_deg - 40.0) / start.deviation_deg for start in starts])
@@ -216,18 +219,12 @@ def test_bent_and_odd_sensors_are_doubted():
     bent[3] = np.nan
     assert known().judge(bent).bend_deg == pytest.approx(whole.bend_deg, abs=10.0)
     assert known().judge(np.full(C, np.nan)).doubt == ""
-
-
-def test_a_distribution_needs_specimens_and_survives_its_arrays():
     assert FlatSensors.fit(sensors(MIN_SPECIMENS - 1)) is None
     assert FlatSensors.fit(np.repeat(sensors(1), 20, axis=0)) is None
     again = FlatSensors.from_arrays(known().arrays())
     value = sensors(1, 20.0, seed=8)[0]
     assert again.judge(value).chance == pytest.approx(known().judge(value).chance, rel=1e-4)
     assert again.judge(value).bend_deg == known().judge(value).bend_deg
-
-
-def test_values_of_a_known_sensor_are_not_doubted_and_its_bends_are():
     strange = sensors(1, seed=5)[0] * ODD
     own = known().for_sensor(np.abs(strange))
     later = 1.3 * strange * np.exp(0.004 * np.random.default_rng(9).normal(size=(100, C)))
@@ -256,3 +253,133 @@ def test_a_standard_error_covers_a_motion_that_the_mean_of_frames_hides(speed):
     assert 0.65 < np.sqrt(errors.mean() / np.mean(variance + 0.005**2 / count)) < 2.0
     assert count[:, :5].mean() > 6.0
     assert speed < 0.006 or count[:, -1].mean() < 3.5
+
+
+# Stored references
+
+
+BOARD_NOISE = 1e-4
+PROTOCOL = Protocol.pairwise(8)
+PRESS = (Touch(0.05, 0.02, force=9.0),)
+
+
+@pytest.fixture
+def pipeline(pipeline):
+    pipeline.use(None)
+    return pipeline
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """Noise-free values by name."""
+    scenes = [Scene(), Scene(Bend(30.0)), Scene(Bend(30.0), PRESS), Scene(Bend(20.0))]
+    simulator = Simulator(SensorDesign.reference(), resolution="fast")
+    names = ("flat", "bent", "pressed", "back")
+    return dict(zip(names, simulator.measure_all(scenes), strict=True))
+
+
+def read_frames(values, count=8, first=0, seed=0):
+    noisy = values * (1 + BOARD_NOISE * np.random.default_rng(seed).normal(size=(count, 28)))
+    return [Frame(z, PROTOCOL, 0.3 * n, n) for n, z in enumerate(noisy, first)]
+
+
+def last(pipeline, given):
+    return [pipeline.process(frame) for frame in given][-1]
+
+
+@pytest.mark.parametrize("name", ["flat", "bent", "pressed"])
+def test_a_start_that_is_not_flat_is_told_and_its_angle_unknown(pipeline, truth, name):
+    estimate = last(pipeline, read_frames(truth[name]))
+    assert estimate.zero is Zero.FIRST_FRAMES
+    if name == "flat":
+        assert (estimate.state, estimate.problems) == (State.IDLE, ())
+        return
+    assert estimate.state is None
+    assert estimate.bend_angle_deg is estimate.bend_deviation_deg is None
+    assert np.isnan(estimate.probabilities[[State.IDLE, State.BEND]]).all()
+    (problem,) = estimate.problems
+    assert "does not look flat" in problem
+    assert "eitskin tare" in problem
+    naive = dataclasses.replace(pipeline, flat_sensors=None)  # knows too few specimens
+    assert last(naive, read_frames(truth["bent"])).problems == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "state", "touches"),
+    [("flat", State.IDLE, 0), ("bent", State.BEND, 0), ("pressed", State.TOUCH, 1)],
+)
+def test_with_a_reference_any_start_is_estimated(pipeline, truth, name, state, touches):
+    pipeline.tare(read_frames(truth["flat"]))
+    estimate = last(pipeline, read_frames(1.01 * truth[name], seed=1))
+    assert (estimate.state, len(estimate.touches)) == (state, touches)
+    assert estimate.bend_angle_deg == pytest.approx(0.0 if name == "flat" else 30.0, abs=3.0)
+    assert (estimate.zero, estimate.problems) == (Zero.FLAT, ())
+    if touches:
+        assert estimate.touches[0][:2] == pytest.approx((0.05, 0.02), abs=5e-3)
+
+
+def test_mounted_sensors_are_estimated_from_their_shape_and_other_frames_change_nothing(
+    pipeline, truth
+):
+    with pytest.raises(DataError, match="--mounted"):
+        pipeline.tare(read_frames(truth["bent"]))
+    pipeline.tare(read_frames(truth["bent"]), Zero.MOUNTED)
+    estimate = last(pipeline, read_frames(truth["bent"], seed=2))
+    assert (estimate.state, estimate.zero, estimate.problems) == (State.IDLE, Zero.MOUNTED, ())
+    estimate = last(pipeline, read_frames(truth["back"], first=8))
+    assert estimate.state is State.BEND
+    assert estimate.bend_angle_deg == pytest.approx(-10.0, abs=9.0)
+    assert estimate.bend_deviation_deg is None
+    reference = pipeline.tare(read_frames(truth["flat"]), board="0102", source="virtual:")
+    moving = [*read_frames(truth["flat"], 3), *read_frames(truth["bent"], 3, first=3)]
+    with pytest.raises(DataError, match="moves in frame 4 of 6"):
+        pipeline.tare(moving)
+    with pytest.raises(ConfigurationError, match="got none"):
+        pipeline.tare([])
+    with pytest.raises(FrameError, match="times those"):
+        pipeline.use(dataclasses.replace(reference, impedance=40.0 * reference.impedance))
+    assert pipeline.stored_reference is reference
+
+
+@pytest.fixture
+def reference(truth):
+    values = [frame.impedance for frame in read_frames(truth["flat"])]
+    return StoredReference.from_frames(
+        values, PROTOCOL, 40e3, Zero.FLAT, board="0102", source="virtual:"
+    )
+
+
+def test_the_file_brings_everything_back(reference, tmp_path):
+    impedance = np.where(np.arange(28) == 4, np.nan, reference.impedance)
+    kept = dataclasses.replace(reference, impedance=impedance)
+    again = StoredReference.read(kept.write(tmp_path / "r.json"))
+    np.testing.assert_array_equal(again.impedance, impedance)
+    others = StoredReference.__slots__[1:]
+    assert [getattr(again, name) for name in others] == [getattr(kept, name) for name in others]
+    assert reference.noise == pytest.approx(BOARD_NOISE * np.sqrt(2), rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"format": "other"}, "is no reference"),
+        ({"format_version": FORMAT_VERSION + 1}, "newer eitskin"),
+        ({"real": [1.0]}, "expected 28 real"),
+        ({"real": [None] * 28}, "good channel"),
+        ({"zero": "bent"}, "bent"),
+        ({"zero": "first read_frames"}, "expected 'flat'"),
+        ({"taken": "yesterday"}, "yesterday"),
+        ({"frames": 0}, "positive"),
+        ({"colour": 1}, "colour"),
+    ],
+)
+def test_files_that_are_no_reference_are_refused(reference, tmp_path, change, said):
+    path = reference.write(tmp_path / "r.json")
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    with pytest.raises(DataError, match=said):
+        StoredReference.read(path)
+    path.write_text('{"format": "eitskin-refe')
+    with pytest.raises(DataError, match="no whole reference"):
+        StoredReference.read(path)
+    with pytest.raises(DataError, match="eitskin tare"):
+        StoredReference.read(tmp_path / "none.json")

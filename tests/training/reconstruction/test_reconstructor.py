@@ -1,23 +1,25 @@
-"""Pictures of a disc and of the reference sensor by every method."""
+"""Pictures of changes: where, of which sign, and by which regularised inverse."""
 
 from typing import get_args
 
 import numpy as np
 import pytest
 
-from eitskin.errors import FrameError, UnusableFrameError
+from eitskin.errors import ConfigurationError, DataError, FrameError, UnusableFrameError
 from eitskin.frame import Frame
 from eitskin.geometry import SensorDesign
-from eitskin.geometry.design.outline import Disc
+from eitskin.geometry.design.outline import Disc, Polygon, Rectangle
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.protocol import Protocol
-from eitskin.training.reconstruction.pixel_grid import figures_of_merit, picture_regions
+from eitskin.training.reconstruction.picture_methods import least_variation, prior_matrix
+from eitskin.training.reconstruction.pixel_grid import PixelGrid, figures_of_merit, picture_regions
 from eitskin.training.reconstruction.reconstructor import (
     Method,
     Reconstructor,
     silent_channels,
 )
+from eitskin.training.reconstruction.regularised_inverse import Regularisation, gauss_newton
 
 RADIUS = 0.05
 COARSE = ((2, 1), Grading(4e-3, 0.02, 1.5, layers=1))
@@ -53,7 +55,7 @@ def merit_of(maker):
     return figures_of_merit(shown[maker.grid.inside], maker.grid, place, -1e-4)
 
 
-def test_bad_channels_are_left_out(greit):
+def test_bad_dead_and_stuck_channels_are_left_out_and_wrong_frames_refused(greit):
     before = np.asarray(greit.model.impedance)
     after = before * (1.0 + 0.01 * np.sin(np.arange(len(PROTOCOL))))
     status = np.zeros(len(PROTOCOL), np.uint8)
@@ -68,9 +70,6 @@ def test_bad_channels_are_left_out(greit):
     status[: len(status) // 2 + 1] = 1
     with pytest.raises(UnusableFrameError, match="50%"):
         greit.image(Frame(after, PROTOCOL, status=status), Frame(before, PROTOCOL))
-
-
-def test_wrong_frames_are_refused(greit):
     frame = Frame(np.ones(len(PROTOCOL)), PROTOCOL)
     other = Protocol.opposite(16)
     with pytest.raises(FrameError, match=r"adjacent:16 \(208.*opposite:16"):
@@ -79,6 +78,10 @@ def test_wrong_frames_are_refused(greit):
         greit.data(np.ones(10), np.ones(208))
     with pytest.raises(FrameError, match="got shape"):
         greit.images(np.ones(10))
+    values = np.random.default_rng(0).normal(100.0, 1.0, (6, 5))
+    values[:, 1], values[:, 3] = 0.0, 99.0
+    assert silent_channels(values).tolist() == [False, True, False, True, False]
+    assert silent_channels(values[:1]).tolist() == [False, True, False, False, False]
 
 
 @pytest.mark.parametrize(
@@ -110,13 +113,6 @@ def test_mirrored_places_are_told_and_channels_near_zero_compared_on_one_scale()
     assert maker.data(abs(after), abs(before)) == pytest.approx(maker.data(after, before))
 
 
-def test_dead_and_stuck_channels_are_silent():
-    values = np.random.default_rng(0).normal(100.0, 1.0, (6, 5))
-    values[:, 1], values[:, 3] = 0.0, 99.0
-    assert silent_channels(values).tolist() == [False, True, False, True, False]
-    assert silent_channels(values[:1]).tolist() == [False, True, False, False, False]
-
-
 @pytest.mark.parametrize("method", ["greit", "back-projection", "total-variation"])
 def test_noise_is_that_of_differences_of_untouched_frames(method):
     maker, rng = made(method), np.random.default_rng(2)
@@ -129,3 +125,120 @@ def test_noise_is_that_of_differences_of_untouched_frames(method):
     ratio = maker.noise(still)[maker.grid.inside] / images[:, maker.grid.inside].std(axis=0)
     assert np.median(ratio) == pytest.approx(1.0, abs=0.05)
     assert np.isnan(maker.noise(still[:4])).all()
+
+
+# The regularised inverse
+
+
+GRID = PixelGrid.from_outline(Rectangle(0.12, 0.06), 72)
+RNG = np.random.default_rng(0)
+# Channels feel the surroundings of one position each, more or less.
+J = -GRID.discs(RNG.uniform((0, 0), (0.12, 0.06), (15, 2)), 0.03) @ np.diag(np.geomspace(1, 3, 72))
+TRUTH = GRID.discs([(0.05, 0.03)], 0.015)[0]
+
+
+def family(name="tikhonov"):
+    return gauss_newton(J, prior_matrix(name, GRID, J))
+
+
+@pytest.mark.parametrize("name", ["tikhonov", "noser", "laplace"])
+def test_picture_is_that_of_dense_least_squares(name):
+    """|J x - y|^2 + lambda^2 x^T R x, with a root of R written out, by an independent solver."""
+    roots = {
+        "tikhonov": np.eye(72),
+        "noser": np.diag(np.linalg.norm(J, axis=0)),
+        "laplace": GRID.differences.toarray(),
+    }
+    y, parameter = RNG.normal(size=15), 0.7
+    stacked = np.concatenate([J, parameter * roots[name]])
+    expected = np.linalg.lstsq(stacked, np.concatenate([y, np.zeros(len(roots[name]))]))[0]
+    assert family(name).matrix(parameter) @ y == pytest.approx(expected, rel=1e-4, abs=1e-6)
+
+
+def test_noise_figures_are_those_drawn_misfits_kept_and_rules_named():
+    inverse, parameter = family(), 0.9
+    response = J @ TRUTH
+    noise = np.random.default_rng(1).normal(size=(20_000, 15)) @ inverse.matrix(parameter).T
+    signal = np.abs(inverse.matrix(parameter) @ response).mean() / np.sqrt(np.mean(noise**2))
+    expected = np.abs(response).mean() / signal
+    assert inverse.noise_figure(parameter, response) == pytest.approx(expected, rel=0.01)
+    chosen = inverse.lambda_from_noise_figure(expected, response)
+    assert chosen == pytest.approx(parameter, rel=0.05)
+    y, inverse = RNG.normal(size=15), family("laplace")
+    parameter = inverse.lambda_from_misfit(1.2, y)
+    assert np.linalg.norm(y - J @ inverse.matrix(parameter) @ y) == pytest.approx(1.2, rel=1e-3)
+    assert Regularisation.from_text("noise-figure:0.5") == Regularisation("noise-figure", 0.5)
+    assert Regularisation.from_text("gcv").rule == "gcv"
+    assert Regularisation.from_text("lambda:3").choose(family(), TRUTH, J) == 3.0
+    assert Regularisation.from_text("snr:10").choose(
+        family(), TRUTH, J
+    ) == family().lambda_from_snr(10.0)
+    for text in ("gcv:1", "snr", "snr:x", "snr:-1", "lambda:inf", "l-curve:1"):
+        with pytest.raises(ConfigurationError, match="expected a rule"):
+            Regularisation.from_text(text)
+
+
+def test_cross_validation_is_least_at_its_lambda_on_squares_of_two_millimetres():
+    rng = np.random.default_rng(3)
+    inverse = family()
+    pictures = rng.normal(size=(50, 72))
+    y = pictures @ J.T + 2.0 * rng.normal(size=(50, 15))
+
+    def score(parameter):
+        left = np.eye(15) - J @ inverse.matrix(parameter)
+        return np.sum((y @ left) ** 2) / np.trace(left) ** 2
+
+    found = inverse.lambda_from_gcv(y)
+    assert score(found) <= min(score(found * factor) for factor in (0.1, 0.9, 1.1, 10.0))
+    # The pictures are drawn from the prior with s = 1, and the noise is 2: lambda = n / s.
+    assert found == pytest.approx(2.0, rel=0.3)
+    grid = PixelGrid.from_outline(Rectangle(0.150, 0.060))
+    assert grid.shape == (30, 75)
+    assert len(grid) == 2250
+    assert grid.sides == pytest.approx((2e-3, 2e-3))
+    assert (grid.x[0], grid.y[-1]) == pytest.approx((1e-3, 59e-3))
+
+
+# ---- total variation ----
+
+
+def test_steps_and_slopes_have_closed_forms_and_no_difference_crosses_the_rim():
+    """min |x - y|^2 / 2 + alpha TV(x): both plateaus move by alpha over their lengths."""
+    grid = PixelGrid(Rectangle(0.04, 0.001), (1, 40))
+    y = np.where(np.arange(40) < 10, 1.0, 3.0)
+    alpha = 2.0
+    misfit = alpha * np.sqrt(1 / 10 + 1 / 30)
+    found = least_variation(grid, np.eye(40), y, misfit)
+    expected = np.where(np.arange(40) < 10, 1.0 + alpha / 10, 3.0 - alpha / 30)
+    assert found == pytest.approx(expected, abs=0.1)  # corners are rounded a little
+    assert found[[0, -1]] == pytest.approx(expected[[0, -1]], abs=0.015)
+    grid = PixelGrid.from_outline(L_SHAPE, 300)
+    x, y = grid.centres.T
+    along_x, along_y = (grid.differences @ (3.0 * x - 2.0 * y)).reshape(2, -1)
+    for values, expected in ((along_x, 3.0 * grid.sides[0]), (along_y, -2.0 * grid.sides[1])):
+        assert values[values != 0.0] == pytest.approx(expected)
+    assert (along_x == 0.0).sum() == grid.shape[0]  # the last pixel of every row
+    with pytest.raises(DataError, match="got none"):
+        figures_of_merit(np.zeros(len(DISC)), DISC, CENTRE, INTEGRAL)
+
+
+# Pixels of rectangles, discs and polygons
+
+L_SHAPE = Polygon(((0, 0), (0.12, 0), (0.12, 0.05), (0.06, 0.05), (0.06, 0.1), (0, 0.1)))
+
+
+@pytest.mark.parametrize(("outline", "area"), [(Disc(0.05), np.pi * 0.05**2), (L_SHAPE, 0.009)])
+def test_mask_has_the_area_of_the_outline(outline, area):
+    grid = PixelGrid.from_outline(outline, 4000)
+    assert len(grid) * grid.area == pytest.approx(area, rel=0.02)
+    picture = grid.image(np.arange(len(grid)))
+    assert np.isnan(picture).sum() == picture.size - len(grid)
+    assert (picture[grid.inside] == np.arange(len(grid))).all()
+
+
+# ---- figures of merit ----
+
+
+DISC = PixelGrid.from_outline(Disc(0.1), 10_000)
+CENTRE, DISC_RADIUS = (0.13, 0.09), 0.02
+INTEGRAL = np.pi * DISC_RADIUS**2

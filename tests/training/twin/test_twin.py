@@ -82,7 +82,9 @@ def fitted():
 
 
 @pytest.mark.slow
-def test_flat_numbers_on_a_board_with_loads_are_found_within_their_standard_errors(fitted):
+def test_flat_numbers_on_a_board_are_found_and_written_as_files_that_commands_read(
+    fitted, tmp_path
+):
     twin, x = fitted, hidden(3)
     assert [str(each) for each in twin.parameters] == [str(each) for each in PARAMETERS]
     # Loads are relative to the nominal sensor's impedance, which the fit takes from its mesh.
@@ -99,26 +101,6 @@ def test_flat_numbers_on_a_board_with_loads_are_found_within_their_standard_erro
     for name in ("span", "offset", "gel_modulus", "encapsulation_modulus"):  # no frame shows them
         assert shown[name] == pytest.approx(1.0)
         assert (name,) in twin.undetermined_combinations
-
-
-@pytest.mark.slow
-def test_readings_change_as_their_derivatives_say():
-    x = hidden(1)
-    model = forward()
-    J = model.jacobian(x)
-    names = [str(each) for each in PARAMETERS]
-    for name in ("conductivity", "contact_impedance[2]", "electrode_place[4]", "gain", "idle"):
-        k, h = names.index(name), 0.01
-        ends = [np.where(np.arange(len(x)) == k, x + sign * h, x) for sign in (1, -1)]
-        one, other = (forward().readings(end) for end in ends)
-        assert J[..., k] == pytest.approx(
-            (one - other) / (2 * h), abs=2e-3 * np.abs(J[..., k]).max()
-        )
-    assert not J[..., names.index("span")].any()
-
-
-@pytest.mark.slow
-def test_a_twin_is_written_as_files_that_other_commands_read(fitted, tmp_path):
     twin = fitted
     write_twin(twin, tmp_path / "twin")
     made = Recipe.from_toml(tmp_path / "twin" / "recipe.toml")
@@ -133,7 +115,43 @@ def test_a_twin_is_written_as_files_that_other_commands_read(fitted, tmp_path):
         write_twin(twin, tmp_path / "twin")
 
 
-def test_frames_are_grouped_by_their_labels():
+@pytest.mark.slow
+def test_twins_find_span_and_offset_and_change_as_their_derivatives_say():
+    x = hidden(1)
+    model = forward()
+    J = model.jacobian(x)
+    names = [str(each) for each in PARAMETERS]
+    for name in ("conductivity", "contact_impedance[2]", "electrode_place[4]", "gain", "idle"):
+        k, h = names.index(name), 0.01
+        ends = [np.where(np.arange(len(x)) == k, x + sign * h, x) for sign in (1, -1)]
+        one, other = (forward().readings(end) for end in ends)
+        assert J[..., k] == pytest.approx(
+            (one - other) / (2 * h), abs=2e-3 * np.abs(J[..., k]).max()
+        )
+    assert not J[..., names.index("span")].any()
+    pairs = Protocol.pairwise(8)
+    free = ("span", "offset", "electrode_place", "contact_impedance")
+    parameters = tuple(each for each in PARAMETERS if each.name not in TERMS)
+    rng = np.random.default_rng(5)
+    x = np.array([0.2 * rng.standard_normal() if each.name in free else 0 for each in parameters])
+    angles = np.array([0.0] * 10 + [-10.0, 20.0, 40.0])
+    scenes = [Scene(bend=Bend(float(angle))) for angle in angles]
+    clean = forward(scenes, parameters, pairs).readings(x)
+    noise = 1.8e-4 * clean.max() * rng.standard_normal(clean.shape)
+    state = np.where(angles == 0.0, State.IDLE, State.BEND)
+    data = Dataset.from_arrays(
+        clean + noise, protocol=pairs, state=state, bend_angle_deg=angles, quantity="impedance"
+    )
+    twin = Twin.fit(DESIGN, data)
+    off = (twin.posterior.x - x) / twin.narrowing
+    assert np.sqrt(np.mean(off**2)) < 1.3
+    names = [each.name for each in twin.parameters]
+    assert twin.narrowing[names.index("span")] < 0.1
+    assert twin.narrowing[names.index("offset")] < 0.1
+    assert twin.predict(labelled_frames(data)).shape == (4, 28)
+
+
+def test_frames_are_grouped_by_labels_and_recordings_without_flat_ones_refused():
     n = len(ADJACENT)
     level = np.arange(1.0, n + 1)
     values = np.array([level, level + 0.5, level + 2, level + 3, level + 5, level])
@@ -160,9 +178,6 @@ def test_frames_are_grouped_by_their_labels():
     assert found.values == pytest.approx(np.array([level + 0.5, 1.5 + 0 * level, 4 + 0 * level]))
     assert found.variance == pytest.approx([1 / 3, 1 + 1 / 3, 2.0])
     assert list(found.base) == [-1, 0, 0]
-
-
-def test_recordings_without_flat_frames_or_protocol_are_refused():
     bent = Dataset.from_arrays(
         np.ones((2, len(ADJACENT))), protocol=ADJACENT, bend_angle_deg=np.array([10.0, 20.0])
     )
@@ -174,30 +189,6 @@ def test_recordings_without_flat_frames_or_protocol_are_refused():
         Twin.fit(DESIGN, bent, fixture=Hinge())
     with pytest.raises(ConfigurationError):
         TwinPrior(thickness=0.1)
-
-
-@pytest.mark.slow
-def test_span_and_offset_are_found_from_known_angles():
-    pairs = Protocol.pairwise(8)
-    free = ("span", "offset", "electrode_place", "contact_impedance")
-    parameters = tuple(each for each in PARAMETERS if each.name not in TERMS)
-    rng = np.random.default_rng(5)
-    x = np.array([0.2 * rng.standard_normal() if each.name in free else 0 for each in parameters])
-    angles = np.array([0.0] * 10 + [-10.0, 20.0, 40.0])
-    scenes = [Scene(bend=Bend(float(angle))) for angle in angles]
-    clean = forward(scenes, parameters, pairs).readings(x)
-    noise = 1.8e-4 * clean.max() * rng.standard_normal(clean.shape)
-    state = np.where(angles == 0.0, State.IDLE, State.BEND)
-    data = Dataset.from_arrays(
-        clean + noise, protocol=pairs, state=state, bend_angle_deg=angles, quantity="impedance"
-    )
-    twin = Twin.fit(DESIGN, data)
-    off = (twin.posterior.x - x) / twin.narrowing
-    assert np.sqrt(np.mean(off**2)) < 1.3
-    names = [each.name for each in twin.parameters]
-    assert twin.narrowing[names.index("span")] < 0.1
-    assert twin.narrowing[names.index("offset")] < 0.1
-    assert twin.predict(labelled_frames(data)).shape == (4, 28)
 
 
 # ---- pressed twin ----
