@@ -279,35 +279,3 @@ def test_indenters_keep_apart_by_their_shapes_and_scanned_balls_are_spheres(tmp_
 
 
 # Files
-
-
-DENTED = ((0.0, 0.0), (0.02, 0.0), (0.005, 0.005), (0.0, 0.02))
-
-
-@pytest.mark.parametrize(
-    ("make", "says"),
-    [
-        (lambda: Touch(X, Y, math.nan), "force must be a positive number of N"),
-        (lambda: Touch(X, Y, depth=-1e-3), "depth must be a positive number of m"),
-        (lambda: Touch(X, Y, 3.0, depth=1e-3), "a force or a depth"),
-        (lambda: Touch(X, Y, held=-1.0), "held"),
-        (lambda: Touch(X, Y, released=1.0), "needs held"),
-        (lambda: Simulator(DESIGN, touch_model="guess"), r"touch_model.*tabulated"),
-        (lambda: Footprint(length=0.01), "radius"),
-        (lambda: Footprint(corners=DENTED), "footprint"),
-        (
-            lambda: one(Touch(X, Y, depth=1e-3, held=1.0, released=1.0, indenter=ROUND)),
-            "needs the force",
-        ),
-        (
-            lambda: signal(
-                Mechanics(piezoresistivity=Piezoresistivity(pressure=-1e-3)),
-                Scene(touches=(Touch(X, Y, 10.0),)),
-            ),
-            "must stay positive",
-        ),
-    ],
-)
-def test_impossible_touches_are_refused(make, says) -> None:
-    with pytest.raises(ConfigurationError, match=says):
-        make()
