@@ -5,7 +5,6 @@ import json
 import command_line
 import pytest
 
-from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
 from eitskin.geometry.deformation.fixtures import FreeArc, Hinge
 from eitskin.simulator import Mechanics, Protocol, Scene, Simulator
@@ -119,30 +118,6 @@ def test_mechanics_and_fixture_come_from_files(scene, tmp_path) -> None:
         frame = sim.measure(Scene.from_toml(scene))
         assert found["impedance_real_ohm"] == pytest.approx(frame.impedance.real, rel=1e-12)
         assert found["touches"][0]["depth_m"] > simulate(scene)["touches"][0]["depth_m"]
-
-
-MISTAKES = {
-    "touches = [{ x = 0.05, y = 0.02, forse = 5.0 }]": "touches[0]: unknown key 'forse'; did you",
-    "touches = [{ x = 0.05 }]": "touches[0]: missing required field 'y'",
-    "touches = [{ x = 50.0, y = 20.0 }]": "got (50, 20) m; are the units metres?",
-    "touches = [{ x = 0.05, y = 0.02, force = 100.0 }]": "at most 40.2 N",
-    "touches = [{ x = 0.05, y = 0.02, force = 5.0, depth = 0.001 }]": "a force or a depth",
-    "touches = [{ x = 0.05, y = 0.02, released = 2.0 }]": "needs held",
-    "touches = [{ x = 0.05, y = 0.02, indenter = { radus = 0.005 } }]": "did you mean 'radius'?",
-    "touches = [{ x = 0.05, y = 0.02, indenter = { file = 'tip.stl' } }]": "cannot read",
-    "bend = 30.0": "expected a table (angle_deg)",
-    "bend = { angle_deg = 200.0 }": "from -40 to 90 deg, got 200 deg",
-    "support = 'plate'": "did you mean 'plates'?",
-    "roll = { angle_deg = 400.0 }": "from -360 to 360",
-}
-
-
-@pytest.mark.slow
-def test_mistakes_in_a_scene_are_answered_with_what_was_expected(tmp_path) -> None:
-    for text, message in MISTAKES.items():
-        with pytest.raises(ConfigurationError) as error:
-            run(written(tmp_path / "wrong.toml", text + "\n"))
-        assert message in str(error.value).replace("`", "'"), text
 
 
 @pytest.mark.parametrize("kind", ["hexahedra", "prisms"])

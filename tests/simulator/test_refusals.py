@@ -20,6 +20,7 @@ from eitskin.geometry import (
     Inclusion,
     Plates,
     Rigid,
+    Roll,
     SensorDesign,
     Twist,
 )
@@ -190,6 +191,7 @@ REFUSALS = [
     (lambda: Simulator(REFERENCE, touch_model="guess"), r"touch_model.*tabulated"),
     # bends and supports
     (lambda: measured(Scene(bend=Bend(-90.0))), "from -40 to 90 deg"),
+    (lambda: Roll(400.0), "from -360 to 360"),
     (lambda: measured(BENT_DISC, ROUND), r"rectangular outline, got Disc.*FreeArc"),
     (lambda: measured(Scene(Bend(5.0)), MEMBRANE), "free membrane"),
     (lambda: measured(Scene(Bend(5.0), support=Free())), FLAT_REFUSALS),
