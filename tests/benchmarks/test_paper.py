@@ -171,7 +171,7 @@ def test_figures_are_what_the_pipelines_are_known_to_do(measured):
 def test_signal_to_noise_is_per_channel():
     ratios = signal_to_noise(experiments(500) | {"states": dataset([(0, 0)] * 2000, 9)})
     assert np.median(ratios) == pytest.approx(STRENGTH / NOISE, rel=0.02)
-    assert ratios == pytest.approx(STRENGTH / NOISE, rel=0.1)
+    assert ratios == pytest.approx(STRENGTH / NOISE, rel=0.085)
     assert len(set(ratios.tolist())) == 28
 
 

@@ -255,7 +255,9 @@ def test_size_is_that_of_the_files(tmp_path):
     assert (found.frames, found.shards) == (120, 3)
     assert 16 <= found.measured_frames <= 50
     assert found.seconds > 0
-    assert found.megabytes_free == pytest.approx(free_bytes(tmp_path) / 1e6, rel=0.1)
+    assert found.megabytes_free == pytest.approx(
+        free_bytes(tmp_path) / 1e6, rel=0.1
+    )  # others write, too
     assert list(tmp_path.iterdir()) == []
     generate(CHEAP, tmp_path / "set", workers=1)
     size = sum(path.stat().st_size for path in (tmp_path / "set").glob("shard-*"))

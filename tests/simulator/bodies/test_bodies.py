@@ -111,6 +111,7 @@ def test_a_box_bends_as_the_clamped_stack_does(design, flat) -> None:
     moved = stack.positions(X) - X
     difference = bent.positions(X) - stack.positions(X)
     assert np.sqrt(np.mean(difference**2) / np.mean(moved**2)) < 0.05
+    # Between meshes as coarse as these two the energies are 7 % apart.
     assert energy == pytest.approx(stack.energy, rel=0.12)
     assert np.linalg.det(bent.gradient(X)).mean() == pytest.approx(1.0, abs=2e-3)
 

@@ -89,6 +89,7 @@ def test_volume_force_and_work_are_balanced_and_stiffness_is_the_slope_of_forces
     assert np.all(p >= 0.0)
     inside = r < last.contact_radius
     carried = np.trapezoid(2 * np.pi * r[inside] * p[inside], r[inside])
+    # By the pressures at nodes, of which few lie under the rim: up to 9.4 % are apart.
     assert carried == pytest.approx(last.force, rel=0.10)
     base = np.flatnonzero(solid.nodes[:, 1] < 1e-12)
     reaction = solid.displacement(solid.forces(x))[base, 1].sum()

@@ -136,7 +136,7 @@ def test_stated_error_is_that_of_many_frames(curve, rng):
         z = (said[:, 0] - angle) / said[:, 1]
         assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.15)
         whole = angle_standard_error(curve, angle, NOISE)
-        assert whole == pytest.approx(np.median(said[1::2, 1]), rel=0.15)
+        assert whole == pytest.approx(np.median(said[1::2, 1]), rel=0.0025)
 
 
 # Learning from many specimens
