@@ -7,6 +7,7 @@ from collections import Counter, deque
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 # As the command line does, and for torch too; here before the first test module loads them. Workers
 # are processes of their own: more threads than cores only wait for each other.
@@ -16,6 +17,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("EITSKIN_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "kernels"))
 
 KEPT_MESHES = 8
+# Examples take as long as a busy machine needs for them.
+settings.register_profile("any machine", deadline=None)
+settings.load_profile("any machine")
 
 
 def pytest_addoption(parser):

@@ -73,7 +73,7 @@ REFUSAL = ConfigurationError("at most 10 deg")
     ],
 )
 def test_every_case_has_an_outcome_and_a_reason(case, outcome, reason):
-    row = judge(case, patience=0.05)
+    row = judge(case, patience=0.05 if case.solve is endless else 300.0)
     assert row["outcome"] == outcome
     assert reason in row["reason"]
     assert all(value is None or np.isfinite(value) for value in (row["residual"], row["error"]))
@@ -137,7 +137,7 @@ def test_a_press_says_how_far_it_went_and_why_no_farther(monkeypatch):
     assert row["invariant"] < 1e-4
 
 
-@settings(max_examples=12, derandomize=True, deadline=None)
+@settings(max_examples=12, derandomize=True)
 @given(st.integers(0, 2**32 - 1))
 def test_any_design_gives_a_frame_or_a_refusal_that_follows_the_seed(seed):
     row, again = (judge(case) for _ in range(2) for case in random_designs(seed, 1))

@@ -147,7 +147,7 @@ def designs(draw):
     )
 
 
-@settings(max_examples=40, derandomize=True, deadline=None, database=None)
+@settings(max_examples=40, derandomize=True, database=None)
 @given(designs())
 def test_every_design_is_the_same_after_writing_and_reading(design) -> None:
     assert parse_toml(SensorDesign, design.to_toml()) == design

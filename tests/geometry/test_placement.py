@@ -170,7 +170,7 @@ def test_electrodes_may_touch_or_lie_over_each_other(electrodes):
 SIZES = st.floats(0.004, 0.02)
 
 
-@settings(max_examples=40, derandomize=True, deadline=None, database=None)
+@settings(max_examples=40, derandomize=True, database=None)
 @given(st.lists(SIZES, min_size=4, max_size=4), st.floats(0, 6.3), st.floats(0.0, 0.02))
 def test_pads_overlap_where_a_place_is_in_both(sizes, turn, apart):
     """Ellipses, as polygons, against many places tried one by one."""

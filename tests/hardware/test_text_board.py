@@ -78,7 +78,7 @@ def test_a_frequency_holds_for_the_lines_that_follow_and_the_rest_is_counted():
     assert decoder.drops == {LineDrop.UNKNOWN: 5, LineDrop.TOO_LONG: 1}
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.binary(max_size=600), st.lists(st.integers(0, 600), max_size=8))
 def test_bytes_of_any_kind_never_raise_and_may_be_cut_anywhere(noise, cuts):
     stream = noise + b"\nRzMag: 3 Ohm , RzPhase: 4\ngo\n" + noise
@@ -142,7 +142,7 @@ def test_late_lines_are_no_pause_and_marks_need_none():
     assert finder.drops == {FrameDrop.FIRST: 3, FrameDrop.INCOMPLETE: 5}
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60, derandomize=True)
 @given(st.sets(st.tuples(st.integers(0, 19), st.integers(0, 5))), st.booleans())
 def test_whatever_lines_are_lost_no_value_stands_for_another(lost, marked):
     finder, ended = FrameFinder(6, marked), []

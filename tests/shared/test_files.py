@@ -211,7 +211,6 @@ def test_inputs_that_reached_more_of_a_parser_are_read_or_refused(folder):
 @settings(
     max_examples=100,
     derandomize=True,
-    deadline=None,
     database=None,
     suppress_health_check=list(HealthCheck),
 )

@@ -99,7 +99,7 @@ def files(tmp_path_factory):
 
 
 @pytest.mark.slow
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.data())
 def test_a_file_cut_or_changed_anywhere_is_made_again(files, data):
     path = data.draw(st.sampled_from(sorted(files)))

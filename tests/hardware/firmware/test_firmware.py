@@ -165,12 +165,6 @@ def test_no_bytes_break_it_and_only_whole_requests_are_answered():
 # ---- firmware packets ----
 
 
-@pytest.fixture(scope="module", autouse=True)
-def built():
-    """Built before the first test, so that none of them is slow."""
-    return library()
-
-
 packets = st.builds(
     Packet,
     st.integers(0, 0xFF),

@@ -65,7 +65,7 @@ def test_impedance_is_reciprocal_its_rows_sum_to_zero_and_cells_equal_the_field(
 
 # Random sensors
 
-few = settings(max_examples=8, derandomize=True, deadline=None)
+few = settings(max_examples=8, derandomize=True)
 
 
 def log_uniform(low, high):

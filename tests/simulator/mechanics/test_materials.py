@@ -98,7 +98,7 @@ def test_uniaxial_and_equibiaxial_closed_forms(law, stretch) -> None:
 # Viscoelasticity
 
 
-steady = settings(max_examples=60, derandomize=True, deadline=None, database=None)
+steady = settings(max_examples=60, derandomize=True, database=None)
 T = np.geomspace(1e-3, 1e5, 60)
 
 
