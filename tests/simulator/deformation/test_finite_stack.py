@@ -76,11 +76,10 @@ def test_boxes_follow_the_sides_and_what_is_held_the_support():
     body = stack_mesh(outline, STACK, MECHANICS, Rigid(), contacts, coarse)
     corners = body.mesh.p[:, body.mesh.t]
     volumes = np.prod(corners.max(axis=1) - corners.min(axis=1), axis=0)
-    area = end**2 - (end - leg) ** 2
-    assert volumes[body.gel_cells].sum() == pytest.approx(0.005 * area, rel=1e-9)
+    plan = end**2 - (end - leg) ** 2
+    assert volumes[body.gel_cells].sum() == pytest.approx(0.005 * plan, rel=1e-9)
     around = (end + 2.0 * margin) ** 2 - (end - leg) ** 2
     assert volumes.sum() == pytest.approx(TOP * around, rel=0.01)  # corners of the margin are round
-    margin = MECHANICS.margin
     length, width = LENGTH + 2 * margin, WIDTH + 2 * margin
     sides = 2 * (length + width) * TOP
     for support, held in (

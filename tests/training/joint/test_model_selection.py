@@ -187,7 +187,7 @@ def test_the_scale_of_strange_sensors_is_found_again(scale):
     learned = ErrorScale.fit(*many(scale))
     # Standard errors of both are 3 to 6 %: squares of normal errors in two dimensions scatter by
     # their mean.
-    assert learned.usual == pytest.approx(scale.usual, rel=0.1, abs=0.05)
+    assert learned.usual == pytest.approx(scale.usual, rel=0.05, abs=0.05)
     assert learned.strange == pytest.approx(scale.strange, rel=0.2, abs=0.05)
     for features, square in (([0.5, 0.5], 0.25), ([3.0, 1.0], STRANGEST)):
         expected = np.sqrt(learned.usual + square * learned.strange)

@@ -143,7 +143,7 @@ def test_priors_are_estimated_and_followed_with_changes_of_the_response():
     mean = change.mean(axis=0) / np.exp(0.5 * touch_training.LOG_SENSITIVITY_STD**2)
     np.testing.assert_allclose(mean[strong], expected[strong], rtol=0.02)
     spread = np.std(change / expected, axis=0)[strong]
-    np.testing.assert_allclose(spread, np.hypot(touch_training.LOG_SENSITIVITY_STD, 0.1), rtol=0.1)
+    np.testing.assert_allclose(spread, np.hypot(touch_training.LOG_SENSITIVITY_STD, 0.1), rtol=0.05)
 
 
 # Made-up frames and the places that are proposed

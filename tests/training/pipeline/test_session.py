@@ -356,7 +356,7 @@ def test_the_file_brings_everything_back(reference, tmp_path):
     np.testing.assert_array_equal(again.impedance, impedance)
     others = StoredReference.__slots__[1:]
     assert [getattr(again, name) for name in others] == [getattr(kept, name) for name in others]
-    assert reference.noise == pytest.approx(BOARD_NOISE * np.sqrt(2), rel=0.3)
+    assert reference.noise == pytest.approx(BOARD_NOISE * np.sqrt(2), rel=0.005)
 
 
 @pytest.mark.parametrize(
