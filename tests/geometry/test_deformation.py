@@ -129,6 +129,14 @@ def test_soft_clamps_have_no_jump_and_pull_backs_and_area_ratios_agree():
     assert area_ratio(F, normals) == pytest.approx(np.linalg.norm(nanson, axis=1), rel=1e-12)
 
 
+def test_one_end_of_a_twist_turns_by_its_angle_against_the_other():
+    """Right-handed about x, the middle at rest."""
+    x, (_, y, z) = np.array([0.0, 0.075, 0.150]), DESIGN.centre
+    places = np.stack([x, np.full(3, y + 0.02), np.full(3, z)], axis=-1)
+    moved = Twist(40.0).deformation(DESIGN).positions(places) - (0.0, y, z)
+    assert np.degrees(np.arctan2(moved[:, 2], moved[:, 1])) == pytest.approx([-20.0, 0.0, 20.0])
+
+
 def test_deformations_inside_out_are_refused() -> None:
     shrunk = Displaced(
         lambda x: -0.5 * x, lambda x: np.broadcast_to(-0.5 * np.eye(3), (*x.shape, 3))
