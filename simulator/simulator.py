@@ -303,7 +303,7 @@ class Simulator:
         if self._last is None or self._last[0] != key:
             solved = self._impedances.solve_scenes([scene], frequency=key[1])
             self._last = (key, solved[scene])
-        return self._last[1]
+        return self._last[1].copy()  # the caller may change it
 
     def measure_all(
         self,

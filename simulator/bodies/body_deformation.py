@@ -168,7 +168,7 @@ def _elastic(
 ) -> list[Touch | None]:
     """Touches without history that leave the dents of the given ones; None for faded dents."""
     prony = mechanics.gel_relaxation
-    first = [replace(touch, held=None, released=0.0) for touch in touches]
+    first = [replace(touch, held=None, released=0.0, before=()) for touch in touches]
     pushed: NDArray[np.float64] | None = None  # forces at the first moment
     found: list[Touch | None] = []
     for k, (touch, one) in enumerate(zip(touches, first, strict=True)):
@@ -180,11 +180,13 @@ def _elastic(
             lasted = touch.held or 0.0, touch.released
             force = relaxation.elastic_force_at_depth(prony, float(pushed[k]), *lasted)
         elif touch.depth is None and touch.held is not None:
-            force = relaxation.elastic_force(prony, touch.force, touch.held, touch.released)
+            loads = (touch.force, touch.held, touch.released), *touch.before
+            force = sum(relaxation.elastic_force(prony, *load) for load in loads)
         if touch.depth is not None and not touch.released:
             found.append(one)
         else:
-            found.append(replace(one, depth=None, force=force) if force > 0.0 else None)
+            left = force > relaxation.FADED * touch.force
+            found.append(replace(one, depth=None, force=force) if left else None)
     return found
 
 
@@ -217,5 +219,6 @@ def _result(
         edge_distance=math.inf,
         neighbour_distance=neighbour_distance(touch, touches),
         signal_error=None,
-        caution="the error of touches on bodies from surface files was not measured",
+        caution="touches press the bare body of a surface file, without its encapsulation, with an "
+        "unmeasured error",
     )

@@ -84,6 +84,8 @@ class PressTable:
                 f"force must be above 0 and at most {self.largest_force:.3g} N, where the layer is "
                 f"pressed to {1 - self.thinnings[-1]:.0%} of its thickness, got {force:g} N"
             )
+        if force < self.forces[1]:
+            return self._shallow_dent(force / float(self.forces[1]))
         scaled_depth = _depth_interpolation(self).forces.solve(force, extrapolate=False)[0]
         return self._dent(force, float(scaled_depth))
 
@@ -94,6 +96,9 @@ class PressTable:
                 f"depth must be above 0 and at most {self.depths[-1]:.3g} m, where the layer is "
                 f"pressed to {1 - self.thinnings[-1]:.0%} of its thickness, got {depth:g} m"
             )
+        if depth < self.depths[1]:
+            part = depth / float(self.depths[1])
+            return self._shallow_dent(part ** (1.0 / self._power("depths")))
         scaled_depth = float((depth / self.depths[-1]) ** (1.0 / _SPACING))
         return self._dent(float(_depth_interpolation(self).forces(scaled_depth)), scaled_depth)
 
@@ -112,6 +117,34 @@ class PressTable:
         )
         scale |= {"forces": modulus * length**2, "energies": modulus * length**3}
         return replace(self, **{name: by * getattr(self, name) for name, by in scale.items()})
+
+    def _power(self, name: str) -> float:
+        """Power of the force by which a quantity rises between the two shallowest presses.
+
+        A flat end touches as a whole at once, and sinks in proportion.
+        """
+        if self.contact_radii[0] > 0.0 and name != "peak_pressures":
+            return 1.0 if name == "depths" else 0.0
+        _, first, second = getattr(self, name)[:3]
+        return float(np.log(second / first) / np.log(self.forces[2] / self.forces[1]))
+
+    def _shallow_dent(self, part: float) -> TabulatedDent:
+        """Dent by a part of the shallowest force, from which the layer moves in proportion.
+
+        A spline from no press on has a wrong power: depths would be several times too small.
+        """
+        first = self._dent(
+            float(self.forces[1]), float((self.depths[1] / self.depths[-1]) ** (1.0 / _SPACING))
+        )
+        return replace(
+            first,
+            force=part * first.force,
+            depth=part ** self._power("depths") * first.depth,
+            contact_radius=part ** self._power("contact_radii") * first.contact_radius,
+            peak_pressure=part ** self._power("peak_pressures") * first.peak_pressure,
+            thinning=part * first.thinning,
+            profile=PPoly.construct_fast(part * first.profile.c, first.profile.x),
+        )
 
     def _dent(self, force: float, scaled_depth: float) -> TabulatedDent:
         table = _depth_interpolation(self)

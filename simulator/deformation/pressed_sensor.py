@@ -298,4 +298,4 @@ def _relax(touch: Touch, force: float, share: float, mechanics: Mechanics) -> tu
     else:
         elastic = relaxation.elastic_force_at_depth(prony, force, touch.held, touch.released)
         acting = force * float(prony.relaxation(touch.held))
-    return elastic, 0.0 if touch.released else acting
+    return elastic if elastic > relaxation.FADED * force else 0.0, 0.0 if touch.released else acting

@@ -246,7 +246,7 @@ class ForwardModel:
     @cached_property
     def flat_impedance(self) -> Numbers:
         """Impedance matrix of the flat sensor [ohm], (electrodes, electrodes), solved once."""
-        return self.impedance()
+        return np.broadcast_to(self.impedance(), 2 * (len(self.design.electrodes),))  # read-only
 
     def sensitivity(
         self,

@@ -19,6 +19,7 @@ from eitskin.errors import ConfigurationError
 
 Array = NDArray[np.float64]
 
+FADED = 1e-9  # elastic force over that of the first moment, below which nothing of a dent is left
 _MAX_TIME = 1e30  # s; squares of such times neither overflow nor vanish
 _FAINTEST = 1e-60  # smaller amplitudes count as zero
 

@@ -40,7 +40,7 @@ class Touch:
             its first moment, and nothing relaxes.
         released: time since the indenter was taken off [s]; only a fading dent is left.
         before: earlier touches on this place that have not faded: force [N], duration and time
-            since the release [s] of each.
+            since the release [s] of each, which is before this touch began.
 
     Example:
         >>> from eitskin import Touch
@@ -72,11 +72,20 @@ class Touch:
             if seconds is not None and not (math.isfinite(seconds) and seconds >= 0.0):
                 raise ConfigurationError(f"{name} must be a time of 0 s or more, got {seconds}")
         object.__setattr__(self, "before", tuple(map(tuple, self.before)))
-        wrong = [each for each in self.before if not (min(each) >= 0.0 and max(each) < math.inf)]
+        begun = self.released + (self.held or 0.0)
+        wrong = [
+            each
+            for each in self.before
+            if len(each) != 3
+            or not (min(each) >= 0.0 and max(each) < math.inf)
+            or not each[2] > 0.0
+            or each[2] < begun * (1.0 - 1e-6)
+        ]
         if wrong or (self.before and (self.held is None or self.depth is not None)):
             raise ConfigurationError(
                 "before is for touches with a force and held, and has a force, a duration and a "
-                f"time since the release of each earlier touch, all 0 or more, got {self.before}"
+                f"time since the release of each earlier touch, all 0 or more, got {self.before}; "
+                f"each ended before this touch began, {begun:g} s ago"
             )
         if self.released and self.held is None:
             raise ConfigurationError(

@@ -179,6 +179,8 @@ REFUSALS = [
     (lambda: Touch(0.06, 0.03, 3.0, depth=1e-3), "a force or a depth"),
     (lambda: Touch(0.06, 0.03, held=-1.0), "held"),
     (lambda: Touch(0.06, 0.03, released=1.0), "needs held"),
+    (lambda: Touch(0.06, 0.03, held=2.0, before=((5.0, 9.0, 1.0),)), "before this touch began"),
+    (lambda: Touch(0.06, 0.03, held=0.0, before=((5.0, 9.0, 0.0),)), "before this touch began"),
     (
         lambda: pressed_touches((UNFORCED,), PressedSensor(REFERENCE, Mechanics(), "tabulated")),
         "needs the force",

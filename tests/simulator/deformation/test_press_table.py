@@ -82,6 +82,17 @@ def test_a_dent_keeps_volume_and_is_found_by_force_and_by_depth(table, force) ->
     assert np.sqrt(np.mean((J - 1) ** 2)) < 3e-4 * max(1.0, force / 10)
 
 
+@pytest.mark.parametrize("force", [1e-5, 1e-3, 0.05])
+def test_light_presses_of_a_flat_punch_are_in_proportion_to_their_force(table, force) -> None:
+    dent, known = table.dent_from_force(force), table.dent_from_force(0.3)
+    assert table.dent_from_depth(dent.depth).force == pytest.approx(force, rel=1e-9)
+    for name, error in (("depth", 0.1), ("thinning", 0.03)):
+        slope, expected = getattr(dent, name) / force, getattr(known, name) / 0.3
+        assert slope == pytest.approx(expected, rel=error)
+    below, above = (moved(table.dent_from_force(f), *disc(known)) / f for f in (force, 0.3))
+    assert below == pytest.approx(above, abs=0.04 * np.abs(above).max())
+
+
 def test_dents_have_strains_pressure_and_points_of_one_field(table):
     dent, step = table.dent_from_force(7.0), 1e-7
     r, z = disc(dent)

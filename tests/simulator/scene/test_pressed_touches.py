@@ -164,6 +164,7 @@ def test_held_presses_creep_at_a_force_and_relax_at_a_depth():
     dents = [held(held=60.0, released=t).depth for t in (0.01, 10.0, 300.0)]
     assert minute.depth > 2 * dents[0]
     assert dents[0] > dents[1] > dents[2] > 0.0
+    assert held(held=60.0, released=1e5).depth == 0.0
     released = held(held=60.0, released=10.0)
     assert (released.force, released.contact_area, released.mean_pressure) == (0.0, 0.0, 0.0)
     at_once = one(Touch(X, Y, depth=0.0015))
@@ -175,6 +176,15 @@ def test_held_presses_creep_at_a_force_and_relax_at_a_depth():
 
 
 # Conductivity beyond geometry
+
+
+def test_changing_a_result_in_place_changes_no_later_one() -> None:
+    simulator = Simulator(DESIGN, "coarse")
+    first = simulator.impedance_matrix(Scene()).copy()
+    matrix = simulator.impedance_matrix(Scene())
+    matrix -= first
+    assert np.array_equal(simulator.impedance_matrix(Scene()), first)
+    assert not simulator.model.flat_impedance.flags.writeable
 
 
 def signal(mechanics, scene, fixture=None):
