@@ -2,6 +2,7 @@
 
 import difflib
 import importlib.metadata
+import inspect
 import re
 from collections.abc import Callable, Mapping
 from typing import Any, Final
@@ -51,7 +52,12 @@ def open_board(uri: str, **options: Any) -> Board:
             f"{''.join(f', {name}:' for name in _installed_boards())}, got {uri!r}{hint}"
         )
     if scheme not in _SCHEMES:
-        board = _installed_boards()[scheme].load()(path, uri, **dict(parse_qsl(query)), **options)
+        kind, options = _installed_boards()[scheme].load(), dict(parse_qsl(query)) | options
+        try:
+            inspect.signature(kind).bind(path, uri, **options)
+        except TypeError as error:
+            raise ConfigurationError(f"{scheme}: cannot be opened so: {error}") from error
+        board = kind(path, uri, **options)
         if not isinstance(board, Board):
             raise ConfigurationError(
                 f"{scheme}: must give an eitskin.hardware.Board, got {type(board).__name__}"

@@ -37,6 +37,8 @@ FACTOR = 2.0
 """Ratio of all values to the expected ones; gels differ by 1.5, resistors of RTIA by 2 or more."""
 BAD_CONTACT = 0.12
 """Resistance in series with one electrode, as a share of the median expected resistance."""
+MIN_LAYER = 0.1
+"""Share of the layer in the values, below which they are those of contacts or of nothing."""
 PHASE_DEG = 10.0
 OTHER_VALUES = 1.2
 """Factor that half of the channels of four terminals are off by in another sensor or wiring."""
@@ -154,12 +156,23 @@ def _wrong_values(checked: CheckedFrames, remaining: Bools) -> Iterator[Finding]
         # A short changes what all other pairs should be.
         own = not shorted.any() and checked.senses_where_it_drives.all()
         fit = fit_contacts(checked, remaining) if own else None
-        scale = fit.scale if fit and fit.good else float(np.median(checked.ratio[remaining]))
+        ratio = float(np.median(checked.ratio[remaining]))
+        scale = fit.scale if fit and fit.good else ratio
+        if fit and fit.good and fit.scale < MIN_LAYER * ratio:
+            values = np.abs(checked.value[remaining])
+            text = (
+                f"the values hardly depend on the sensor's layer, {values.min():.4g} to "
+                f"{values.max():.4g} ohm for all channels: constant or made-up values, contacts "
+                "far above the layer, or another sensor; check what the board measures"
+            )
+            yield finding(FindingKind.MISFIT, remaining, text)
+            return
         if not checked.senses_where_it_drives.any():
             # Small values between neighbours change manifold with the places of electrodes.
             large = checked.expected > SHORT * float(np.sqrt(np.mean(checked.expected**2)))
-            ratio = checked.ratio[remaining & large & (checked.ratio > 0.0)]
-            off = float(np.median(np.abs(np.log(ratio / scale)))) if len(ratio) and scale else 0.0
+            own_ratio = checked.ratio[remaining & large & (checked.ratio > 0.0)]
+            known = len(own_ratio) and scale
+            off = float(np.median(np.abs(np.log(own_ratio / scale)))) if known else 0.0
             if off > np.log(OTHER_VALUES):
                 if not shorted.any():
                     yield _other_wiring(off, checked, remaining)

@@ -143,6 +143,9 @@ def test_a_kind_of_board_enters_by_an_entry_point(recording, monkeypatch):
         open_board("mine:")
     with pytest.raises(ConfigurationError, match="mine:"):
         open_board("nime:")
+    offer(monkeypatch, MeasuredBoard)
+    with pytest.raises(ConfigurationError, match="'gains'"):
+        open_board("mine:?gains=2")
 
 
 # ---- recordings ----
