@@ -1,8 +1,10 @@
 """Recordings as named arrays: MATLAB, NumPy and HDF5 files."""
 
+import math
 import re
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,7 +12,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.recordings.patterns import measurement_rows
+from eitskin.datasets.recordings.patterns import find_patterns, measurement_rows
 from eitskin.datasets.recordings.reader import Contents, Reader, ReadRequest, Tables, as_data_errors
 from eitskin.datasets.store.shard_reader import require_stored
 from eitskin.errors import DataError
@@ -29,13 +31,22 @@ class ArrayReader(Reader):
     Arrays with as many rows as the file says that there are measurements have frames as columns.
     """
 
+    _measured = 0  # number of measurements, where tables of patterns say it
+
     @abstractmethod
     def array(self, name: str) -> Any:
         """Array `name` of the file; raises DataError."""
 
+    def _find_patterns(self, shapes: Mapping[str, tuple[int, ...]]) -> None:
+        """Take patterns and their measurements among arrays of these shapes, if there are any."""
+        if found := find_patterns(shapes, self.array):
+            self.contents = replace(self.contents, patterns=found[:2], usual_values=found[2])
+            self._measured = math.prod(shapes[name][1] for name in found[:2])
+
     def tables(self, request: ReadRequest) -> Tables:
         arrays = {name: self.array(name) for name in request.values}
-        first, measured = next(iter(arrays.values())).shape, len(self.contents.measured)
+        first = next(iter(arrays.values())).shape
+        measured = len(self.contents.measured) or self._measured
         transposed = request.transposed or (0 < measured == first[0] and first[1:] != first[:1])
         values = {name: _frames(array, name, transposed) for name, array in arrays.items()}
         shape = values[request.values[0]].shape
@@ -62,6 +73,7 @@ class NumpyReader(ArrayReader):
         self.contents = Contents(
             tuple(self._arrays), usual_values="v" if "v" in self._arrays else None
         )
+        self._find_patterns({name: self.array(name).shape for name in self._arrays})
 
     def array(self, name: str) -> Any:
         with as_data_errors("file of plain arrays"):
@@ -79,6 +91,7 @@ class MatReader(ArrayReader):
 
         super().__init__(path)
         with as_data_errors("MATLAB file"):
+            shapes = {name: shape for name, shape, _ in whosmat(path)}
             kinds = {name: kind for name, _, kind in whosmat(path)}
         names = [name for name, kind in kinds.items() if kind in _MATLAB_NUMBERS]
         unread = {name: f"a MATLAB {kind}" for name, kind in kinds.items() if name not in names}
@@ -92,6 +105,7 @@ class MatReader(ArrayReader):
                 _collect_arrays(read[name], name, self._inside, stimulations)
         parts = [tuple(map(_dense, (each[k] for k in _STIMULATION))) for each in stimulations]
         self.contents = _eidors((*names, *self._inside), unread, parts)
+        self._find_patterns({name: shapes[name] for name in names})
 
     def array(self, name: str) -> Any:
         from scipy.io import loadmat
@@ -162,6 +176,7 @@ class Hdf5Reader(ArrayReader):
         super().__init__(path)
         names: list[str] = []
         unread: dict[str, str] = {}
+        shapes: dict[str, tuple[int, ...]] = {}
         with as_data_errors("HDF5 file"), h5py.File(path) as file:
             for name, array in _arrays(file, "", unread):
                 fields = array.dtype.names or ()
@@ -173,8 +188,11 @@ class Hdf5Reader(ArrayReader):
                     names += [f"{name}/{field}" for field in fields]
                 else:
                     names.append(name)
+                    turn = -1 if "MATLAB_class" in array.attrs else 1
+                    shapes[name] = array.shape[::turn] if array.dtype.kind in "iuf" else ()
             parts = _stimulations(file)
         self.contents = _eidors(tuple(names), unread, parts)
+        self._find_patterns(shapes)
 
     def array(self, name: str) -> Any:
         with as_data_errors("HDF5 file"), h5py.File(self.path) as file:

@@ -1,12 +1,18 @@
 """Protocols of patterns: currents into electrodes, and weights of their voltages."""
 
-from collections.abc import Iterable
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.errors import DataError
 from eitskin.protocol import Protocol, Row
+
+MAX_PATTERNS = 1 << 16  # numbers in a table that may be one of patterns
+_SENSES = re.compile("m(eas)?_?pat|meas|sens|volt|v_?pat", re.I)
 
 
 def protocol_of_patterns(
@@ -26,6 +32,30 @@ def protocol_of_patterns(
         )
     rows, currents, electrodes = measurement_rows((each, senses.T) for each in drives.T)
     return Protocol.from_rows(rows, electrodes), np.array(currents)
+
+
+def find_patterns(
+    shapes: Mapping[str, tuple[int, ...]], array: Callable[[str], ArrayLike]
+) -> tuple[str, str, str] | None:
+    """Names of drive patterns, of sense patterns, and of their measurements among tables.
+
+    Each column of both has one electrode of each sign, and one axis of the measurements has all
+    pairs of columns. Currents differ from weights by size, or else by name. None
+    where no two tables are patterns, or several are.
+    """
+    plain = {}
+    for name, shape in shapes.items():
+        if len(shape) == 2 and min(shape) > 1 and math.prod(shape) <= MAX_PATTERNS:
+            with suppress(DataError, TypeError, ValueError):
+                pairs, sizes = electrode_pairs(array(name), name)
+                if all(plus != minus for plus, minus in pairs):
+                    plain[name] = bool((sizes == 1).all()) + bool(_SENSES.match(name))
+    counts = [shapes[name][1] for name in plain]
+    frames = [name for name, shape in shapes.items() if math.prod(counts) in shape]
+    if len(plain) != 2 or len(set(plain.values())) != 2 or len(frames) != 1:
+        return None
+    drive, sense = sorted(plain, key=lambda name: plain[name])
+    return (drive, sense, frames[0]) if shapes[drive][0] == shapes[sense][0] else None
 
 
 def electrode_pairs(

@@ -59,6 +59,7 @@ class Contents:
         electrodes: number of them.
         order: order of the readings, as `RecordingForm` has it.
         driven: whether readings of driven electrodes are among them, to be left out.
+        patterns: tables with the drive and the sense patterns of the measurements; none elsewhere.
     """
 
     names: tuple[str, ...] = ()
@@ -71,6 +72,7 @@ class Contents:
     electrodes: int = 0
     order: str = ""
     driven: bool = False
+    patterns: tuple[str, ...] = ()
 
 
 class Reader(ABC):

@@ -228,7 +228,8 @@ class RecordedFile:
         if self.protocol is not None and named is not None:
             require_protocol_of_names(self.protocol, named)
         own = source.contents
-        if self.protocol is None and not names.patterns:
+        patterns = names.patterns or (own.patterns if self.protocol is None else ())
+        if self.protocol is None and not patterns:
             self.protocol = named
             if own.measured:
                 self.protocol = Protocol.from_rows(own.measured, own.electrodes)
@@ -267,10 +268,10 @@ class RecordedFile:
             block_rows=BLOCK_ROWS // self._whole_rows * self._whole_rows or BLOCK_ROWS,
         )
         parts = (part.strip() for name in values for part in name.split(","))
-        used = {*values, *parts, *labels, *(names.patterns or ())}
+        used = {*values, *parts, *labels, *patterns}
         self.unused = source.unused_tables(used)
-        if names.patterns:
-            self._read_patterns(*names.patterns)
+        if patterns:
+            self._read_patterns(*patterns)
 
     def _protocol_of_file(self, titles: Sequence[str]) -> Protocol | None:
         """Protocol by columns of electrodes, or by the names of the values; None for neither."""

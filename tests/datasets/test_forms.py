@@ -72,6 +72,14 @@ def patterns():
         yield 0.01 * drive[:, 0], sense.T
 
 
+def pattern_tables(path):
+    """Currents of 2.5 mA, weights of voltages, and frames of all pairs of both as columns."""
+    drive, sense = (
+        DRIVEN.patterns()[k][:, rows] for k, rows in enumerate((slice(0, 64, 8), range(8)))
+    )
+    savemat(path, {"Mpat": sense, "Inj": 2.5e-3 * drive, "U": 2.5e-3 * DRIVEN.measure(Z).T})
+
+
 def eidors_hdf5(path):
     """The same as MATLAB 7.3 stores it: structures as groups, sparse matrices by columns."""
     with h5py.File(path, "w", userblock_size=512) as file:
@@ -205,6 +213,7 @@ FORMS = [
     Form("EIDORS, MATLAB 5", "a.mat", eidors),
     Form("EIDORS, one reading named", "a.mat", eidors, "--values vh.meas", FRAMES[:1]),
     Form("EIDORS, MATLAB 7.3", "a.mat", eidors_hdf5),
+    Form("patterns and voltages, MATLAB", "a.mat", pattern_tables, "", DRIVEN.measure(Z), DRIVEN),
     Form("Sciospec, a folder of frames", "frames", sciospec),
     Form("Sciospec, the second frequency", "frames", sciospec, "--values f1", FRAMES / 2),
     Form("Draeger PulmoVista", "a.eit", draeger, "", S16.measure(SIXTEEN), S16),
@@ -308,12 +317,16 @@ def imported(form: Form, folder: Path) -> list[str]:
 
 @pytest.mark.parametrize("form", FORMS, ids=lambda form: form.source)
 def test_every_form_gives_the_same_frames(form, tmp_path):
-    command_line.run(*imported(form, tmp_path))
+    words = imported(form, tmp_path)
+    ran = command_line.run(*words)
     data = open_dataset(tmp_path / "out")
     assert len(data.protocol) == len(form.protocol)
     back = dict(zip(data.protocol.table, range(len(data.protocol)), strict=True))
     order = [back[row] for row in form.protocol.table]
     assert data.impedance[:, order] == pytest.approx(form.frames, rel=1e-4, abs=1e-4)
+    # With -s, the rows of a table of all forms.
+    command = shlex.join(["eitskin", *words]).replace(f"{tmp_path}/", "")
+    print(f"| {form.source} | `{command}` | {ran.stdout.split(' (')[0]}, as written |")  # noqa: T201
 
 
 def test_previews_print_the_command_that_reads_the_same_and_suggest_labels(tmp_path):
