@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
     from eitskin.training.evaluation.drawing import Circle
 
+OVERSHOOT = 5.0  # of a picture's falls, from which on they are not those of a strong change
+
 
 @options.with_output
 def command(
@@ -34,12 +36,18 @@ def command(
     method: Annotated[
         Literal[
             "back-projection", "tikhonov", "noser", "laplace", "total-variation", "greit", "all"
-        ],
-        typer.Option("--method", help="Method of reconstruction."),
-    ] = "greit",
+        ]
+        | None,
+        typer.Option("--method", help="Method; greit if omitted, or laplace with --segment."),
+    ] = None,
     rule: Annotated[
-        str, typer.Option("--lambda", help="Rule: noise-figure:1, snr:100, gcv, or lambda:0.01.")
-    ] = "noise-figure:1",
+        str | None,
+        typer.Option(
+            "--lambda",
+            help="Rule: noise-figure:1, snr:100, gcv, or lambda:0.01; noise-figure:1 if omitted, "
+            "or snr:300 with --segment.",
+        ),
+    ] = None,
     difference: Annotated[
         Literal["relative", "absolute"] | None,
         typer.Option(
@@ -66,16 +74,21 @@ def command(
 
     from eitskin.hardware.opening import is_board
     from eitskin.training.reconstruction.pixel_grid import picture_regions
-    from eitskin.training.reconstruction.reconstructor import Method
+    from eitskin.training.reconstruction.reconstructor import Method, suited_difference
 
-    names: list[Method] = [method] if method != "all" else [*get_args(Method)]
-    chosen_rule = training.Regularisation.from_text(rule)
+    # Regions need smooth pictures more than sharp ones: their edges are found by thresholds.
+    chosen = method or ("laplace" if segment else "greit")
+    names: list[Method] = [chosen] if chosen != "all" else [*get_args(Method)]
+    chosen_rule = training.Regularisation.from_text(
+        rule or ("snr:300" if segment else "noise-figure:1")
+    )
     _require_out(out)
 
     def makers(
-        design: "geometry.SensorDesign", protocol: "simulator.Protocol"
+        design: "geometry.SensorDesign", protocol: "simulator.Protocol", *before: Any
     ) -> list[training.Reconstructor]:
-        common = chosen_rule, pixels, difference, resolution
+        suited = difference or (suited_difference(protocol, before[0]) if before else None)
+        common = chosen_rule, pixels, suited, resolution
         return [training.Reconstructor(design, protocol, name, *common) for name in names]
 
     if page.page:
@@ -87,7 +100,7 @@ def command(
         _follow_live(source, wanted, makers, page, seed, output)
         return
     frames = wanted.read(source, resolution, seed, output)
-    reconstructors = makers(frames.design, frames.protocol)
+    reconstructors = makers(frames.design, frames.protocol, frames.reference)
     if (mirrored := reconstructors[0].ambiguous_share) > 0.2:
         output.note(
             f"with {frames.protocol}, {mirrored:.0%} of the places of this sensor read as another "
@@ -96,17 +109,21 @@ def command(
     images = [image for maker in reconstructors for image in _images(maker, frames)]
     if not np.isfinite(images[0].noise).any() and not source.endswith(".toml"):
         output.note("no five frames of the untouched sensor, so nothing says what is noise")
+    regions = [picture_regions(each.values, each.maker.grid) for each in images if segment]
     beyond = [image for image in images if np.nanmin(image.values) < -1]
     if beyond:
+        least = min(np.nanmin(each.values) for each in beyond)
+        why = "linear pictures draw strong changes too strong"
+        if least < -OVERSHOOT:
+            why = "the frames and the sensor do not fit; check protocol, order and reference"
         output.note(
             f"no conductivity falls by more than 100 %, but {len(beyond)} pictures do, to "
-            f"{100 * min(np.nanmin(each.values) for each in beyond):.3g} %, which are cut there: "
-            "the frames and the sensor do not fit; check protocol, order and reference"
+            f"{100 * least:.3g} %, which are cut there: {why}"
         )
         images = [image._replace(values=np.maximum(image.values, -1.0)) for image in images]
     rows = [image.as_dict() for image in images]
-    for row, each in zip(rows, images, strict=True) if segment else ():
-        row["regions"] = [r._asdict() for r in picture_regions(each.values, each.maker.grid)]
+    for row, each in zip(rows, regions, strict=False):
+        row["regions"] = [region._asdict() for region in each]
     data = {
         "source": source,
         "protocol": str(frames.protocol),
@@ -137,6 +154,7 @@ class Image(NamedTuple):
         values: relative change of conductivity (rows, columns), dimensionless; NaN outside.
         circles: true touches, where known.
         noise: size of values that noise alone makes (rows, columns); NaN where unknown.
+        classes: -1 and +1 in regions of lower and of higher conductivity, 0 elsewhere.
     """
 
     maker: "training.Reconstructor"
@@ -144,6 +162,7 @@ class Image(NamedTuple):
     values: "NDArray[np.float64]"
     circles: "tuple[Circle, ...]"
     noise: "NDArray[np.float64]"
+    classes: "NDArray[np.int8]"
 
     def as_dict(self) -> dict[str, Any]:
         """Method, and least and largest value with their positions [m].
@@ -176,6 +195,7 @@ def _images(maker: "training.Reconstructor", frames: PicturedFrames) -> "list[Im
     """Pictures of all frames by one method, and their noise."""
     import numpy as np
 
+    from eitskin.training.reconstruction.pixel_grid import segment
     from eitskin.training.reconstruction.reconstructor import VISIBLE
 
     still = frames.still
@@ -183,7 +203,7 @@ def _images(maker: "training.Reconstructor", frames: PicturedFrames) -> "list[Im
     noise = VISIBLE * maker.noise(changes)
     pictures = maker.images(maker.data(frames.impedance, frames.reference))
     named = zip(frames.names, pictures, frames.circles, strict=True)
-    return [Image(maker, *each, noise) for each in named]
+    return [Image(maker, *each, noise, segment(each[1], maker.grid)) for each in named]
 
 
 def _cells(row: dict[str, Any]) -> list[str]:
@@ -199,7 +219,7 @@ def _cells(row: dict[str, Any]) -> list[str]:
 def _follow_live(
     uri: str,
     wanted: FrameOptions,
-    makers: "Callable[[geometry.SensorDesign, simulator.Protocol], list[training.Reconstructor]]",
+    makers: "Callable[..., list[training.Reconstructor]]",
     page: PageOptions,
     seed: int,
     output: options.Output,
@@ -244,7 +264,6 @@ def _write(out: Path, images: list[Image]) -> None:
     import numpy as np
 
     from eitskin.files import atomic_file
-    from eitskin.training.reconstruction.pixel_grid import segment
 
     methods = list(dict.fromkeys(image.maker.method for image in images))
     frames = list(dict.fromkeys(image.frame for image in images))
@@ -254,7 +273,7 @@ def _write(out: Path, images: list[Image]) -> None:
             from eitskin.training.evaluation.drawing import PicturePanel, draw_panels, style
 
             panels = []
-            for maker, frame, values, circles, noise in images:
+            for maker, frame, values, circles, noise, _ in images:
                 title = f"{frame}: {maker.method}" if len(frames) > 1 else maker.method
                 shown = PicturePanel(title, maker.design, maker.grid, values, circles, noise=noise)
                 panels.append(shown)
@@ -269,7 +288,7 @@ def _write(out: Path, images: list[Image]) -> None:
                 inside=grid.inside,
                 change=change.reshape(len(methods), len(frames), *grid.shape),
                 noise=np.array([image.noise for image in images[:: len(frames)]]),
-                classes=np.array([segment(image.values, grid) for image in images]).reshape(
+                classes=np.array([image.classes for image in images]).reshape(
                     len(methods), len(frames), *grid.shape
                 ),
                 methods=np.array(methods),

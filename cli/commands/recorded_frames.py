@@ -33,13 +33,16 @@ OneSpecimen = Annotated[
 ]
 
 
-def read_recorded(path: Path, values: str | None, protocol: str | None) -> "datasets.Dataset":
+def read_recorded(
+    path: Path, values: str | None, protocol: str | None, *, marks_lost: bool = False
+) -> "datasets.Dataset":
     """Dataset of a recording.
 
     Args:
         path: folder or shard of a dataset, or a recording of another format.
         values: name of the values in such a recording.
         protocol: text of the option --protocol; None for the dataset's own.
+        marks_lost: whether values that are lost in such a recording are marked, not refused.
 
     Raises:
         ConfigurationError: for names or protocols that do not fit, or an unknown kind of file.
@@ -50,7 +53,8 @@ def read_recorded(path: Path, values: str | None, protocol: str | None) -> "data
     if not path.exists():
         raise DataError(f"there is no dataset and no file {path}; check the path")
     if not (path.is_dir() or path.suffix.lower() in (".h5", ".hdf5")):
-        return datasets.read_recording(path, datasets.RecordingNames(values), named)
+        form = datasets.RecordingForm(bad_values="mark" if marks_lost else "refuse")
+        return datasets.read_recording(path, datasets.RecordingNames(values), named, form=form)
     if values is not None:
         raise ConfigurationError(
             f"--values names a variable of a file that is no dataset, got {path}; leave it out"
@@ -126,7 +130,8 @@ class FrameOptions:
     reference: Annotated[
         str,
         typer.Option(
-            help="Reference of a dataset's frames: untouched, flat, or the mean of frames 0-9."
+            help="Reference of a dataset's frames: untouched, flat, the mean of frames 0-9, or of "
+            "another recording, by its path."
         ),
     ] = "untouched"
     order: Annotated[
@@ -203,7 +208,7 @@ class FrameOptions:
 
         from eitskin.training.reconstruction.reconstructor import silent_channels
 
-        data = datasets.open_dataset(path)
+        data = read_recorded(path, None, None, marks_lost=True)
         design = options.read_design(self.sensor) if self.sensor else data.design
         if design is None:
             raise DataError(
@@ -236,7 +241,14 @@ class FrameOptions:
             if not len(still) and data.source == "measured":
                 still = data.touch_reference[same & data.has_touch_reference]
         else:
-            still = data.impedance[options.frame_numbers(self.reference, len(data))]
+            if Path(self.reference).exists():
+                other = read_recorded(Path(self.reference), None, None, marks_lost=True)
+                required_protocol(other).require_same(
+                    protocol, "--reference has", "the frames have", "name a recording like theirs"
+                )
+                still = np.where(other.status != 0, np.nan, other.impedance)
+            else:
+                still = data.impedance[options.frame_numbers(self.reference, len(data))]
             before = np.tile(still.mean(axis=0), (len(chosen), 1))
         some = data.impedance[np.unique(np.linspace(0, len(data) - 1, 200).astype(int))]
         silent = silent_channels(some)

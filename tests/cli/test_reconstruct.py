@@ -5,11 +5,12 @@ import json
 import numpy as np
 import pytest
 from command_line import printed_json, run
+from scipy.io import savemat
 
 from eitskin.datasets import Dataset, save_dataset
 from eitskin.datasets.recordings.orders import in_order
 from eitskin.errors import DataError
-from eitskin.geometry import Disc, SensorDesign
+from eitskin.geometry import Disc, Inclusion, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import ForwardModel, Protocol
 
@@ -84,7 +85,7 @@ def test_order_is_tested_impossible_changes_are_cut_and_noise_is_named(tmp_path)
     with pytest.raises(DataError, match="--order rotated"):
         run(*words, "0")
     words += ("2-8", "--order", "rotated")
-    ran = run(*words, "--lambda", "lambda:1e-4", "--json")
+    ran = run(*words, "--method", "greit", "--lambda", "lambda:1e-4", "--json")
     (one,) = json.loads(ran.stdout)["pictures"]
     assert (one["least"], one["least_is_noise"]) == (-1.0, False)
     assert "by more than 100 %" in ran.stderr
@@ -92,3 +93,30 @@ def test_order_is_tested_impossible_changes_are_cut_and_noise_is_named(tmp_path)
     (one,) = printed_json(*words, "--frames", "9")["pictures"]
     assert one["least_is_noise"]
     assert one["largest_is_noise"]
+
+
+def test_regions_of_a_tank_against_a_recording_of_plain_water(tmp_path):
+    """Files that say their patterns, with lost channels and some of the reference near zero."""
+    design = SensorDesign(Disc(0.05), 0.005, uniform(Disc(0.05), 16))
+    design.to_toml(tmp_path / "disc.toml")
+    protocol = Protocol.adjacent(16, shared=True)
+    drive, sense = protocol.patterns()
+    places = {-1: (0.035, 0.06), 1: (0.07, 0.045)}
+    targets = [Inclusion.cylinder(*place, 0.01, 100.0**sign) for sign, place in places.items()]
+    for name, inclusions in (("water", ()), ("targets", targets)):
+        Z = ForwardModel(design, "coarse", inclusions=inclusions).impedance(1.0)
+        values = 2e-3 * protocol.measure(Z)
+        values[[20, 100, 180]] = (1e-9, -1e-9, 1e-9) if name == "water" else np.nan
+        savemat(
+            tmp_path / f"{name}.mat",
+            {"Inj": 2e-3 * drive[:, ::16], "Mpat": sense[:, :16], "U": values},
+        )
+    words = ("reconstruct", tmp_path / "targets.mat", "--reference", tmp_path / "water.mat")
+    found = printed_json(*words, "--sensor", tmp_path / "disc.toml", "--segment", *FEW)
+    (one,) = found["pictures"]
+    assert (one["method"], one["difference"]) == ("laplace", "absolute")
+    regions = {region["sign"]: region for region in one["regions"]}
+    assert len(one["regions"]) == 2
+    for sign, place in places.items():
+        assert np.hypot(*np.subtract(regions[sign]["centre"], place)) < 0.006
+    assert regions[-1]["change"] >= -1

@@ -263,7 +263,7 @@ class PictureRegion(NamedTuple):
         sign: -1 for lower conductivity, +1 for higher.
         area: [m2].
         centre: x and y [m].
-        change: mean relative change of conductivity.
+        change: mean relative change of conductivity, whose values are at least -1.
     """
 
     sign: int
@@ -301,6 +301,6 @@ def picture_regions(values: Array, grid: PixelGrid) -> list[PictureRegion]:
         for label in range(1, count + 1):
             mine = (labels == label)[grid.inside]
             x, y = grid.centres[mine].mean(axis=0).tolist()
-            change = float(values[grid.inside][mine].mean())
+            change = float(np.maximum(values[grid.inside][mine], -1.0).mean())
             regions.append(PictureRegion(sign, float(mine.sum() * grid.area), (x, y), change))
     return sorted(regions, key=lambda region: -region.area)

@@ -13,7 +13,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
-from eitskin.training.method.input_spec import require_usable, usable_values
+from eitskin.training.method.input_spec import MIN_CHANNELS, require_usable, usable_values
 from eitskin.training.method.observations import relative_difference
 from eitskin.training.reconstruction.linear_model import LinearModel, linear_model
 from eitskin.training.reconstruction.picture_methods import (
@@ -36,6 +36,7 @@ Method = Literal["back-projection", "tikhonov", "noser", "laplace", "total-varia
 Difference = Literal["relative", "absolute"]
 
 CLEAR = 0.02  # of channels' root mean square, above which relative differences are the default
+MAX_SMALL = 0.01  # share of the channels of a reference that are smaller than that
 MIRROR_CORRELATION = 0.995  # correlation of the readings of two changes that count as the same
 VISIBLE = 3.0  # standard deviations of noise, above which a value of a picture says something
 MIN_STILL_FRAMES = 5  # frames of one state, from which noise is read
@@ -245,7 +246,8 @@ class Reconstructor:
     def images(self, data: ArrayLike) -> Array:
         """Images (..., rows, columns) of data (..., measurements); NaN outside the outline.
 
-        Channels that are NaN in a frame are left out of its image.
+        Channels that are NaN in a frame are left out of its image. Half as many must be good as are
+        independent of each other.
 
         Raises:
             FrameError: for another number of measurements.
@@ -257,7 +259,9 @@ class Reconstructor:
         missing, group = np.unique(np.isnan(frames), axis=0, return_inverse=True)
         values = np.empty((len(frames), len(self.grid)))
         for number, channels in enumerate(missing):
-            require_usable(~channels)
+            few = np.mean(~channels) < MIN_CHANNELS
+            if few and np.sum(~channels) < MIN_CHANNELS * self.protocol.rank:
+                require_usable(~channels)
             mine = group.ravel() == number
             values[mine] = self._values(frames[mine][:, ~channels], channels)
         return self.grid.image(values.reshape(*y.shape[:-1], -1))
@@ -283,8 +287,10 @@ class Reconstructor:
 
         Raises ConfigurationError for a noise figure that no lambda has, and for back-projection.
         """
+        used = ~self._uses_driven_electrode
         frames = np.zeros((1, len(self.protocol))) if data is None else np.atleast_2d(data)
-        return self.regularisation.choose(self.family, self.response, frames)
+        family = self.family if used.all() else self.family.drop_channels(~used)
+        return self.regularisation.choose(family, self.response[used], frames[:, used])
 
     @cached_property
     def family(self) -> RegularisedInverse:
@@ -347,6 +353,22 @@ def back_projection(jacobian: Array) -> Array:
     """
     matrix = (jacobian / noser_weights(jacobian)).T
     return matrix / float(np.mean(matrix @ jacobian.sum(axis=1)))
+
+
+def suited_difference(protocol: Protocol, reference: NDArray[np.inexact]) -> Difference | None:
+    """Absolute where channels (..., C) of a measured reference are near zero; None elsewhere.
+
+    Noise and misfit of the sensor are large next to such channels, though its model has none.
+    Channels with a driven electrode, next to others without, do not count, nor does one in a
+    hundred.
+    """
+    shared = np.array(protocol.shares)
+    if reference.shape[-1:] != shared.shape:
+        return None
+    sizes = np.abs(reference)[..., ~shared | shared.all()]
+    sizes = sizes[np.isfinite(sizes) & (sizes > 0)]
+    small = sizes <= CLEAR * np.sqrt(np.mean(sizes**2))
+    return "absolute" if len(sizes) and small.mean() > MAX_SMALL else None
 
 
 def silent_channels(impedance: NDArray[np.inexact]) -> NDArray[np.bool_]:
