@@ -55,6 +55,7 @@ ALL = (
     Benchmark("speed", 5, seeded=True),
     Benchmark("paper", 40, ("--out", "{out}", "--seeds", "2", "--paper-seeds", "1")),
     Benchmark("recordings", 8, ("{data}", "--out", "{out}"), needs="{data}/ohmc8.mat"),
+    Benchmark("tank", 10, ("{data}/KTC2023", "--out", "{out}"), needs="{data}/KTC2023"),
     Benchmark("transfer", 8, seeded=True),
     Benchmark("life", 8, seeded=True),
     Benchmark("methods", 10, seeded=True),

@@ -84,6 +84,8 @@ eitskin bench speed
 eitskin bench speed --out results --quick
 eitskin bench recordings recordings
 eitskin bench recordings recordings --quick
+eitskin bench tank KTC2023
+eitskin bench tank KTC2023 --quick
 eitskin bench transfer
 eitskin bench transfer mine.eitmodel --quick
 eitskin bench life

@@ -95,6 +95,22 @@ def recordings(
 
 @app.command(cls=Command)
 @options.with_output
+def tank(
+    data: Annotated[Path, typer.Argument(help="Folder of the Kuopio Tomography Challenge 2023.")],
+    out: Out = _OUT,
+    *,
+    quick: Quick = False,
+    output: options.Output,
+) -> None:
+    """Score regions of targets in a water tank, and pyEIT's, and draw them."""
+    from eitskin.benchmarks.tank_targets import run
+
+    require_all(bench="matplotlib pyeit")
+    _present(output, run(data, quick, options.progress_watcher(output)), out)
+
+
+@app.command(cls=Command)
+@options.with_output
 def transfer(
     pipelines: Annotated[
         list[Path] | None,
