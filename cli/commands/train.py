@@ -141,7 +141,10 @@ def _summary(report: "training.Report") -> str:
     single = report.touches.get("1")
     if single is not None and single.mean_error_mm is not None:
         error, guess = single.mean_error_mm, single.guess_error_mm
-        shown.append(f"one touch: error {error:.2f} mm (guessing {guess:.0f} mm)")
+        shown.append(
+            f"one touch: {single.found:.0%} within 15 mm, error {error:.2f} mm (guessing "
+            f"{guess:.0f} mm)"
+        )
     if report.bend.rmse_deg is not None:
         shown.append(f"bends: error {report.bend.rmse_deg:.2f} deg")
     return ", ".join(shown)

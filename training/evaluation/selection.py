@@ -10,7 +10,7 @@ import numpy as np
 from eitskin.datasets import Dataset, State
 from eitskin.geometry import DataError
 from eitskin.training.evaluation.evaluate import Evaluation
-from eitskin.training.evaluation.scores import GATE, ospa
+from eitskin.training.evaluation.scores import GATE, Report, ospa
 from eitskin.training.method.settings import Progress, TrainingSettings, silent
 from eitskin.training.method.targets import STATE_NAMES, Targets, with_implied_labels
 from eitskin.training.pipeline.pipeline import Pipeline
@@ -23,6 +23,7 @@ BRIEF = 0.15
 HOPELESS = 2.0
 """Ratio of a candidate's loss to the least one from which its training is not continued."""
 BRIEFLY_JUDGED = 200  # held-out frames
+LEAST_R2, LEAST_FOUND = 0.25, 0.3  # below, angles and positions are hardly better than guessed
 WRONG_ERRORS = 2.0  # ratio of errors and their standard errors from which it is reported
 
 
@@ -226,6 +227,20 @@ def _left_out(data: Dataset, evaluation: Evaluation) -> list[str]:
     ]
 
 
+def _describe_guesses(report: Report) -> list[str]:
+    """Quantities of an evaluation that are hardly better than guessed, in words."""
+    found = [share for share in report.states.accuracy.values() if share is not None]
+    single, r2 = report.touches.get("1"), report.bend.r2
+    guessed = []
+    if len(found) > 1 and np.mean(found) < 0.5 * (1.0 + 1.0 / len(found)):
+        guessed.append(f"states ({np.mean(found):.0%} recognised)")
+    if r2 is not None and r2 < LEAST_R2:
+        guessed.append(f"the bend angle (R2 {r2:.2f})")
+    if single is not None and single.found < LEAST_FOUND:
+        guessed.append(f"positions ({single.found:.0%} of single touches within 15 mm)")
+    return guessed
+
+
 def data_warnings(dataset: Dataset, evaluation: Evaluation) -> tuple[str, ...]:
     """Reasons why the figures of an evaluation may not hold for another sensor, in words.
 
@@ -258,4 +273,9 @@ def data_warnings(dataset: Dataset, evaluation: Evaluation) -> tuple[str, ...]:
                 f"errors of {name} are {problem.rms_ratio:.1f} times their standard errors: do not "
                 "rely on these; train on more specimens"
             )
+    if guesses := _describe_guesses(report):
+        warnings.append(
+            f"{' and '.join(guesses)}: hardly better than guessing on held-out specimens; check "
+            "labels and their order, or train on more frames"
+        )
     return tuple(warnings)

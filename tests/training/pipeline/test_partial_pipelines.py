@@ -132,6 +132,7 @@ def test_methods_are_chosen_by_held_out_specimens_what_is_not_estimated_as_guess
     warnings = data_warnings(data, found.evaluation)
     assert "3 specimens are few, 1 of them held out" in warnings[0]
     assert "16 frames of the state idle are few" in warnings[1]
+    assert "positions (0% of single touches within 15 mm): hardly better" in warnings[-1]
     data = frames(list(State))
     losses = quantity_losses(
         Evaluation.from_dataset(never_touched, data), Targets.from_dataset(data)
