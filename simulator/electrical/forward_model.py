@@ -31,10 +31,16 @@ from eitskin.simulator.electrical.conductivity import (
     conductivity_entries,
     warn_of_edges,
 )
+from eitskin.simulator.electrical.function_space import (
+    FunctionSpace,
+    MemoryLimitError,
+    fits_memory,
+)
 from eitskin.simulator.electrical.resolution import (
     Discretisation,
     Resolution,
     discretisation,
+    faster_resolutions,
     suited_cells,
 )
 from eitskin.simulator.electrical.sensitivity import Tensors, pixel_gram
@@ -120,7 +126,15 @@ class ForwardModel:
         cells = cells or ("prisms" if inclusions else suited_cells(resolution, design, breaks))
         order, grading = discretisation(resolution, design, cells)
         mesh = mesh_design(design, grading, cells, breaks, inclusions)
-        self._begin(design, mesh, order, solver)
+        try:
+            self._begin(design, mesh, order, solver)
+        except MemoryLimitError as error:
+            for name in faster_resolutions(resolution):
+                order, grading = discretisation(name, design, cells)
+                mesh = mesh_design(design, grading, cells, breaks, inclusions)
+                if fits_memory(FunctionSpace(mesh, order)):
+                    raise MemoryLimitError(f"{error}; '{name}' fits this design") from None
+            raise
         middles = mesh.points[mesh.cells].mean(axis=1)
         self._inclusions += [(each.contains(middles), each.conductivity) for each in inclusions]
         self._resolution, self._breaks = resolution, breaks

@@ -208,11 +208,20 @@ def estimated_memory(space: FunctionSpace) -> float:
     return needed
 
 
+def fits_memory(space: FunctionSpace) -> bool:
+    """Whether the matrices of functions need at most `MAX_MEMORY`."""
+    return estimated_memory(space) <= MAX_MEMORY
+
+
+class MemoryLimitError(ConfigurationError):
+    """A mesh whose matrices need more memory than is allowed."""
+
+
 def require_memory(space: FunctionSpace) -> None:
-    """Raise ConfigurationError for functions whose matrices need more than `MAX_MEMORY`."""
-    needed = estimated_memory(space)
-    if needed > MAX_MEMORY:
-        raise ConfigurationError(
+    """Raise MemoryLimitError for functions whose matrices need more than `MAX_MEMORY`."""
+    if not fits_memory(space):
+        needed = estimated_memory(space)
+        raise MemoryLimitError(
             f"a forward model of {space.unknowns} unknowns needs about {needed / 1e9:.3g} GB of "
             f"memory, more than the {MAX_MEMORY / 1e9:g} GB that are allowed; choose a faster "
             "resolution or larger cells; presses by small indenters need small cells"

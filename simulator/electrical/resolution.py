@@ -69,6 +69,13 @@ _SUFFICIENT = 0.9  # of the wanted cell size over the size of a mesh that is sti
 _STEP = 1.25  # ratio of cell sizes of finer meshes
 
 
+def faster_resolutions(resolution: Resolution | Discretisation) -> tuple[Resolution, ...]:
+    """Names of faster resolutions, the finest first; all names after a discretisation."""
+    names: tuple[Resolution, ...] = get_args(Resolution)
+    end = names.index(resolution) if isinstance(resolution, str) else len(names)
+    return names[:end][::-1]
+
+
 def press_length(design: SensorDesign, indenter: Indenter) -> float:
     """Length over which the deformation of the layer by an indenter varies [m].
 

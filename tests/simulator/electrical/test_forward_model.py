@@ -248,3 +248,9 @@ def test_contact_sensitivity_agrees_with_central_differences(z) -> None:
         )
         expected = (ahead - behind) / (2 * step * z)
         assert J[:, number] == pytest.approx(expected, rel=1e-4, abs=1e-4 * abs(J).max())
+
+
+def test_a_model_that_is_too_large_names_the_resolution_that_fits(monkeypatch) -> None:
+    monkeypatch.setattr("eitskin.simulator.electrical.function_space.MAX_MEMORY", 2e8)
+    with pytest.raises(ConfigurationError, match="'fast' fits"):
+        ForwardModel(SensorDesign.reference(), "standard")
