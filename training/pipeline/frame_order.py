@@ -48,15 +48,15 @@ class SessionOrder:
     """Frames of a session in their order.
 
     A frame of another session begins a new session, and so does one whose number and time both ran
-    back; a number that wraps at 2^32 did not. A fault of one of the two, or of both in a single
-    frame, is reported and changes nothing: a session that it began would take the sensor as it then
-        is
-    for its zero.
+    back; a number that wraps at 2^32 did not, nor one that fills the latest gap. A fault of one of
+    the two, or of both in a single frame, is reported and changes nothing: a session that it began
+    would take the sensor as it then is for its zero.
     """
 
     _session: int = 0
     _last: _FrameStamp | None = None
     _before: _FrameStamp | None = None  # the latest jump ahead, while the frames may yet come back
+    _previous: _FrameStamp | None = None  # the one before the last
     _steps: deque[float] = field(default_factory=lambda: deque(maxlen=STEPS))
 
     @property
@@ -75,8 +75,11 @@ class SessionOrder:
             last = self._before
         advance, step = last.advance(frame), frame.time - last.time
         backwards = advance >= NUMBERS // 2
+        if backwards and step < 0 and self._is_late(frame, last):
+            return Step(problems=_describe_fault(frame, f"it comes after frame {last.number}"))
         if backwards and step < 0:
             return self._begin(frame, f"frame number {frame.number} follows {last.number}")
+        self._previous = last
         timed = math.isfinite(frame.time)
         if not timed or math.isnan(last.time):
             time = frame.time if timed else last.time
@@ -102,10 +105,19 @@ class SessionOrder:
             _FrameStamp(frame.number, time),
             None,
         )
+        self._previous = None
         self._steps.clear()
         problems: tuple[str, ...] = (f"a new session begins: {reason}",) if reason else ()
         problems += _describe_fault(frame, f"its time is {frame.time}") if math.isnan(time) else ()
         return Step(new_session=bool(reason), problems=problems)
+
+    def _is_late(self, frame: Frame, last: _FrameStamp) -> bool:
+        """Whether a frame belongs between the last two by its number and its time."""
+        previous = self._previous
+        if previous is None:
+            return False
+        between = 0 < previous.advance(frame) < (last.number - previous.number) % NUMBERS
+        return between and previous.time < frame.time < last.time
 
     def _returns(self, frame: Frame, before: _FrameStamp, last: _FrameStamp) -> bool:
         """Whether a frame goes on where the frames were `before` they jumped ahead to `last`."""

@@ -104,6 +104,7 @@ ORDERS = [
     (((4, 1.0), (900, 1.3)), False, "", 0.3),
     ((*STEADY, (5, 0.2)), False, "frame 5: the clock ran back by 1 s; the references stay", 1.2),
     ((*STEADY, (2, 1.5)), False, "its number follows 4", 1.5),
+    ((*STEADY, (6, 1.8), (5, 1.5)), False, "it comes after frame 6; the references stay", 1.8),
     ((*STEADY, (5, 3600.0)), False, "jumped ahead", 3600.0),
     ((*STEADY, (24, 7.2)), False, "", 7.2),  # lost frames
     ((*STEADY, (5, 4.0)), False, "", 4.0),  # a short pause
