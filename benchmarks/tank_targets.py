@@ -44,7 +44,7 @@ RULES: Mapping[Method, tuple[str, ...]] = {
     "laplace": ("snr:100", "snr:200", "snr:300", "snr:500", "noise-figure:1"),
     "greit": ("noise-figure:0.2", "noise-figure:0.3", "noise-figure:0.5", "noise-figure:1"),
 }
-LAMBDAS = (1e-3, 1e-2, 1e-1, 1.0)  # of pyEIT, times the mean diagonal of J^T J or J J^T
+LAMBDAS = (1e-2, 1e-1, 1.0, 10.0)  # of pyEIT, times the mean diagonal of J^T J or J J^T
 MESH: Discretisation = ((1,), Grading(finest=6e-3, coarsest=8e-3, growth=1.0))  # of pyEIT
 POWER = 0.5  # of the diagonal of pyEIT's prior, as in its examples
 DEFAULT = "eitskin laplace", "snr:300"  # of `eitskin reconstruct --segment`
