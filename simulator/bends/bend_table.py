@@ -77,14 +77,14 @@ class BentLayer(Deformation):
 
     def map_deformed(self, points: Points, gradients: Gradients) -> tuple[Points, Gradients]:
         """Positions and gradients of points that have moved already, by the chain rule."""
-        x = np.asarray(points, dtype=float) - self.centre
-        outside = np.abs(x[..., 2]) > 0.5 * self.thickness + _SAME
-        outside |= np.abs(x[..., 1]) > self.half_sizes[1] + 0.5 * self.thickness
+        x, upwards = np.asarray(points, dtype=float) - self.centre, 0.5 * self.thickness
+        outside = np.abs(x) > [np.inf, self.half_sizes[1] + upwards, upwards + _SAME]
         if np.any(outside):
             raise ConfigurationError(
-                f"{int(outside.sum())} of {outside.size} points lie outside the bent sensor, whose "
-                f"gel is {2 * self.half_sizes[1]:g} m wide and whose stack is {self.thickness:g} m "
-                "thick; a rolled sensor needs a kinematic fixture, Hinge(...) or FreeArc(...)"
+                f"{int(outside.any(axis=-1).sum())} of {x.size // 3} points lie outside the bent "
+                f"sensor, whose gel is {2 * self.half_sizes[1]:g} m wide and whose stack is "
+                f"{self.thickness:g} m thick; a rolled sensor needs a kinematic fixture, "
+                "Hinge(...) or FreeArc(...)"
             )
         if kernels := compiled_kernels("eitskin.simulator.deformation.kernels"):
             places, F = np.array(points, dtype=float, order="C"), np.array(gradients, order="C")

@@ -295,7 +295,7 @@ class Field:
 
 @lru_cache(maxsize=16)  # cells and contacts of a mesh, and scenes of one bend, follow each other
 def field_powers(field: Field) -> tuple[Array, Array, Array]:
-    """Knots along x and y, and coefficients (nx, ny, 12) of the powers 0 to 3 of the level.
+    """Knots along x and y, and coefficients (nx, ny, 3 powers) of the powers of the level.
 
     Levels go from -1 to 1 over the height; each power has the three components of the
     displacement.
@@ -310,8 +310,8 @@ def field_powers(field: Field) -> tuple[Array, Array, Array]:
 
 @lru_cache(maxsize=8)
 def _powers(count: int, components: int) -> Array:
-    """Coefficients of the powers 0 to 3 of three components, (count * components, 12)."""
+    """Coefficients of the powers of three components, (count * components, 3 * count)."""
     powers = np.stack(
         [np.pad(legendre.leg2poly(e), (0, _UPRIGHT - i - 1)) for i, e in enumerate(np.eye(count))]
     )
-    return np.asarray(np.kron(powers, np.eye(components, 3)), dtype=np.float64)
+    return np.asarray(np.kron(powers[:, :count], np.eye(components, 3)), dtype=np.float64)

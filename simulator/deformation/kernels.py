@@ -53,11 +53,11 @@ def sum_field_powers(
 ) -> int:
     """Sums at (x, y) of a field and its slopes by x and y, (3, 12), of powers of the level.
 
-    Returns the cell along x and y as one number; `values` (2, 8) is room.
+    Powers it has not stay. Returns the cell along x and y as one number; `values` (2, 8) is room.
     """
     a, b = values[0], values[1]
     i, j = functions(tx, x, i, a), functions(ty, y, j, b)
-    for m in range(12):
+    for m in range(coefficients.shape[2]):
         sum_0 = sum_x = sum_y = 0.0
         for p in range(4):  # fixed numbers of turns take half the time of any number
             value = by_y = 0.0
@@ -107,12 +107,12 @@ def add_field(
             where the field keeps the values of its ends [m].
         height: height of the box [m].
         tx, ty: knots of the splines.
-        coefficients: coefficients of the powers 0 to 3 of the level, of three components, (nx, ny,
-            12).
+        coefficients: coefficients of up to four powers of the level from 0, of three components
+            each, (nx, ny, 3 powers).
         points: undeformed.
         places, gradients: arrays that are added to.
     """
-    values, sums = np.empty((2, 8)), np.empty((3, 12))
+    values, sums = np.empty((2, 8)), np.zeros((3, 12))
     slope, u = np.empty((3, 3)), np.empty(3)
     ox, oy, c, s = frame
     ends = tx[0], tx[-1], ty[0], ty[-1]
@@ -235,7 +235,7 @@ def bend(
         coefficients: coefficients as of `add_field`.
         places, gradients: replaced.
     """
-    values, sums = np.empty((2, 8)), np.empty((3, 12))
+    values, sums = np.empty((2, 8)), np.zeros((3, 12))
     slope, u, at, beyond = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
     cells, before_x, before_y, rate = 3 * 65536 + 3, np.nan, np.nan, 1.0 / box[1, 2]
     for n in range(len(places)):
