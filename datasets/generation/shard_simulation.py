@@ -1,6 +1,5 @@
 """Simulation of one shard: a function of the recipe and the shard's number alone."""
 
-import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -28,6 +27,7 @@ from eitskin.simulator.bends.bend_table import on_support
 from eitskin.simulator.deformation.corrections import is_tabulable
 from eitskin.simulator.deformation.pressed_sensor import TouchModel
 from eitskin.simulator.electrical.resolution import Resolution
+from eitskin.simulator.electrical.sensor_impedances import without_touches
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.session import Session
 from eitskin.simulator.scene.scene import Scene
@@ -113,11 +113,6 @@ def _clamp(scene: Scene, drawn_specimen: Specimen) -> tuple[float, float, float,
     return clamp.span, clamp.offset, 1.0 if clamp.faces == "bottom" else 2.0, stiffness
 
 
-def without_touches(scene: Scene) -> Scene:
-    """Scene without touches, held or released."""
-    return replace(scene, touches=())
-
-
 def _board(
     recipe: Recipe, protocol: Protocol, number: int, flat: Impedance
 ) -> tuple[Session, Impedance]:
@@ -154,12 +149,12 @@ def _solve(recipe: Recipe, samples: Sequence[Sample], skewed: bool) -> Solved:
         made, board = specimen(recipe, number), instrument(recipe, number)
         solved[number, Scene()] = flat_impedance(made, recipe, board)
         scenes = [scene for scene in distinct if scene != Scene()]
-        tables = [
-            is_tabulable(replace(made.design, support=scene.support or made.design.support))
-            for scene in scenes
-        ]
-        for tabulated in dict.fromkeys(tables):
-            alike = list(itertools.compress(scenes, (table == tabulated for table in tables)))
+        tables = {
+            support: is_tabulable(replace(made.design, support=support or made.design.support))
+            for support in {scene.support: None for scene in scenes}
+        }
+        for tabulated in dict.fromkeys(tables.values()):
+            alike = [scene for scene in scenes if tables[scene.support] == tabulated]
             simulator = _simulator(
                 made, recipe.nominal_sensor, recipe.resolution, recipe.protocol, tabulated=tabulated
             )

@@ -134,8 +134,7 @@ class BatchSolver:
                 (assembly.facet_numbers, np.zeros(0)),
             )
         )
-        self._columns = max(_COLUMNS, -(-len(system.admittance) // _FULL) * _FULL)
-        self.width = self._columns // len(system.admittance)
+        self.width = max(1, _COLUMNS // len(system.admittance))
         self.solutions = 1
         Z = np.real(impedance_matrix(system.admittance, system.coupling.T @ w))
         self.base = Base(Z, np.ascontiguousarray(w[self.order], dtype=np.float64))
@@ -147,6 +146,7 @@ class BatchSolver:
         base: Base,
         tolerance: Tolerance = TOLERANCE,
         potentials: bool = False,
+        width: int | None = None,
     ) -> list[Solution | None]:
         """Solutions of scenes; None for each that differs too much from the factorised one.
 
@@ -156,15 +156,17 @@ class BatchSolver:
             base: flat sensor, where the corrections begin.
             tolerance: tolerance of the change of each from the flat sensor.
             potentials: whether they are wanted, too.
+            width: scenes that are corrected at once, on which last digits depend.
         """
-        waiting = enumerate(scenes)
+        waiting, width = enumerate(scenes), width or self.width
         electrodes = len(self.base.impedance)
-        places = [slice(k * electrodes, (k + 1) * electrodes) for k in range(self.width)]
-        x = np.zeros((len(self.order), self._columns), dtype=np.float32)
+        places = [slice(k * electrodes, (k + 1) * electrodes) for k in range(width)]
+        columns = -(-width * electrodes // _FULL) * _FULL
+        x = np.zeros((len(self.order), columns), dtype=np.float32)
         solved: dict[int, Solution | None] = {}
         active: dict[int, _Projection] = {}
         while True:
-            free = [place for place in range(self.width) if place not in active]
+            free = [place for place in range(width) if place not in active]
             fresh = {
                 place: _Projection(self, number, fields, contact_impedance, base, tolerance)
                 for place, (number, fields) in zip(free, waiting, strict=False)
@@ -173,8 +175,8 @@ class BatchSolver:
             active |= fresh
             if not active:
                 return [solved[number] for number in range(len(solved))]
-            for place, columns in enumerate(places):
-                x[:, columns] = active[place].residual() if place in active else 0.0
+            for place, own in enumerate(places):
+                x[:, own] = active[place].residual() if place in active else 0.0
             self._factors.solve(x)
             self.solutions += len(active)
             for place, scene in active.items():

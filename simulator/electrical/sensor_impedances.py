@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.deformation.electrode_shift import ElectrodeShift, electrode_shift
+from eitskin.geometry.deformation.electrode_shift import electrode_shift
 from eitskin.geometry.design.outline import PlaneOutline
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.electrical.batch import (
@@ -138,7 +138,8 @@ class SensorImpedances:
         """
         self._design, self._resolution, self._breaks = design, resolution, breaks
         self._layers_of = layers_of
-        self._shift = None if nominal is None or breaks else _shift(nominal, design)
+        shares = nominal and not (breaks or nominal.is_complex or design.is_complex)
+        self._shift = electrode_shift(nominal, design) if nominal and shares else None
         self._shared = (
             self.own
             if nominal is None or self._shift is None
@@ -293,19 +294,12 @@ class SensorImpedances:
                     flat = DeformedLayer(self._design, None, Piezoresistivity(), shift=self._shift)
                     z = self._design.contact_impedance
                     fields = LayerFields.from_layer(flat, model.assembly)
-                    (own,) = solver.solve([fields], z, coarse_model, _BASE, True)
+                    (own,) = solver.solve([fields], z, coarse_model, _BASE, True, width=1)
                     coarse_model = None if own is None else Base(own.impedance, own.potentials)
             self._bases[model] = coarse_model
         return self._bases[model]
 
 
-def _shift(nominal: SensorDesign, design: SensorDesign) -> ElectrodeShift | None:
-    """Map from a nominal sensor whose meshes suit; None where they do not."""
-    if nominal.is_complex or design.is_complex:
-        return None
-    return electrode_shift(nominal, design)
-
-
 def without_touches(scene: Scene) -> Scene:
-    """The scene without its touches."""
+    """Scene without touches, held or released."""
     return dataclasses.replace(scene, touches=())
