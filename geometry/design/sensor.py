@@ -4,7 +4,7 @@ import dataclasses
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -156,6 +156,11 @@ class Layer:
         require_conductivity("layer conductivity", self.conductivity)
 
 
+@lru_cache(maxsize=64)  # many designs differ in materials alone
+def _check_contacts(electrodes: tuple[Electrode, ...], outline: Outline, thickness: float) -> None:
+    require_disjoint(contact_areas(electrodes, outline, thickness))
+
+
 @old_names(conductivity_at="evaluate_conductivity", expanded="expand_data")
 @dataclass(frozen=True, slots=True)
 class SensorDesign:
@@ -196,7 +201,7 @@ class SensorDesign:
         self._check_layers()
         require_fit(self.support, self.outline)
         require_count("the number of electrodes", len(self.electrodes), 2, MOST_ELECTRODES)
-        require_disjoint(contact_areas(self.electrodes, self.outline, self.thickness))
+        _check_contacts(self.electrodes, self.outline, self.thickness)
 
     @classmethod
     def reference(cls) -> "SensorDesign":

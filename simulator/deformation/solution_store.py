@@ -86,7 +86,8 @@ def _round_numbers(value: object) -> object:
     if type(value) is float:
         return f"{value:.9g}"
     if isinstance(value, list | tuple):
-        return [_round_numbers(each) for each in value]
+        # Most are of numbers, for which a call each would take longest.
+        return [f"{x:.9g}" if type(x) is float else _round_numbers(x) for x in value]
     if isinstance(value, dict):
         return {key: _round_numbers(each) for key, each in value.items()}
     return value if value is None or isinstance(value, int | str) else f"{value:.9g}"
