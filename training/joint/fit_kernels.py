@@ -32,6 +32,7 @@ SHRINKING, GROWTH = 0.5, 2.0  # the new radius, in lengths of that step
 DAMPINGS = np.append(1e-6, 1e-3 * 4.0 ** np.arange(10))
 """Damping of a step: where none is needed, and those that are tried."""
 BOUND_STIFFNESS = 1e9  # addition to the Hessian that holds an unknown at its bound
+SCORING_STEPS, SCORING_DEG = 6, 3e-3  # of Fisher scoring, and the step [deg] at which it ends
 
 # First layer of the response network (3, h), the others (layers - 1, h, h), biases (layers, h), the
 # first layer's by the angle (h,); last layer (h, K) and its constant (K,); bend curve (powers, K).
@@ -90,6 +91,18 @@ def linearise(touches: Array, angle: float, sensor: Sensor, frame: Frame) -> Poi
     return touches, angle, rows, changes, states[:count].copy()
 
 
+@either("f8[:,::1](f8[:,::1], f8, f8)")
+def curve_covariance(effects: Array, u: float, reference: float) -> Array:
+    """Covariance (K, K) of a bend curve's change from one angle to another, in units of `SCALE`."""
+    powers, weights = round(math.sqrt(len(effects))), np.empty(len(effects))
+    for i in range(len(effects)):
+        p, q = 1 + i // powers, 1 + i % powers
+        weights[i] = (u**p - reference**p) * (u**q - reference**q)
+    size = round(math.sqrt(effects.shape[1]))
+    total: Array = np.dot(weights, effects).reshape(size, size)
+    return total
+
+
 @either(f"f8[:,::1]({POINT}, {FRAME}, {SPREAD})")
 def covariance(at: Point, frame: Frame, spread: Spread) -> Array:
     """Covariance (K, K) of the residual: that of the noise, of the curve, and of the response."""
@@ -111,12 +124,7 @@ def covariance(at: Point, frame: Frame, spread: Spread) -> Array:
         errors[1 + len(latent) + c] = math.sqrt(variance[c]) * forward[c]
     total = noise.copy()
     if abs(moved) > STILL_DEG:
-        powers = round(math.sqrt(len(effects)))
-        u, reference, weights = angle / SCALE, frame[1][1] / SCALE, np.empty(len(effects))
-        for i in range(len(effects)):
-            p, q = 1 + i // powers, 1 + i % powers
-            weights[i] = (u**p - reference**p) * (u**q - reference**q)
-        total += np.dot(weights, effects).reshape(size, size)
+        total += curve_covariance(effects, angle / SCALE, frame[1][1] / SCALE)
         errors[0] = np.dot(lateness, rows[1]) * (moved / ANGLE_UNIT)
     total += np.dot(errors.T, errors)
     return total
@@ -182,6 +190,42 @@ def solve(matrix: Array, right: Array) -> Array:
             x[i] -= matrix[i, j] * x[j]
         x[i] /= matrix[i, i]
     return x
+
+
+@either("UniTuple(f8, 2)(f8[:,::1], f8[:,::1], f8[::1], f8[:,::1], f8, UniTuple(f8, 2))")
+def score_angle(
+    curve: Array,
+    effects: Array,
+    change: Array,
+    noise: Array,
+    angle: float,
+    limits: tuple[float, float],
+) -> tuple[float, float]:
+    """Angle [deg] of an untouched frame, by Fisher scoring, and its information [1/deg2].
+
+    Every step regresses the residual on the curve's slope, in the metric of the noise and of the
+    curve's own uncertainty at the present angle.
+
+    Args:
+        curve, effects: as in `SENSOR` and `SPREAD`.
+        change, noise: change from the flat sensor (K,), and its covariance (K, K) without the
+            curve's uncertainty.
+        angle: first angle.
+        limits: least and largest angle [deg].
+    """
+    information = 0.0
+    for _ in range(SCORING_STEPS):
+        u, residual, slope = angle / SCALE, change.copy(), np.zeros(len(change))
+        for p in range(len(curve)):
+            residual -= u ** (p + 1) * curve[p]
+            slope += (p + 1) * u**p / SCALE * curve[p]
+        weighted = solve(noise + curve_covariance(effects, u, 0.0), slope)
+        information = np.dot(weighted, slope)
+        step = np.dot(weighted, residual) / information
+        angle = min(max(angle + step, limits[0]), limits[1])
+        if abs(step) < SCORING_DEG:
+            break
+    return angle, information
 
 
 @either(f"Tuple((f8[::1], f8))(f8[:,::1], f8[:,::1], {FRAME}, f8)")

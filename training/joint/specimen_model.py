@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
+from eitskin.compiled import implementation
 from eitskin.training.joint.bend_curve import BEYOND_DEG, BendCurve
 from eitskin.training.joint.channel_faults import (
     FAULT_THRESHOLD,
@@ -22,15 +23,13 @@ from eitskin.training.joint.channel_faults import (
 )
 from eitskin.training.joint.combinations import CombinedChange
 from eitskin.training.joint.networks import AngleNetworks
-from eitskin.training.joint.objective import misfit_sigma, solution, whitening_matrix
+from eitskin.training.joint.objective import KERNELS, misfit_sigma, solution, whitening_matrix
 from eitskin.training.joint.touch_response import SpecimenResponse, TouchResponse
 from eitskin.training.joint.touch_search import TouchCandidates
 
 Array = NDArray[np.float64]
 
 GRID = 36  # angles among which the initial one is chosen
-STEPS = 6  # of Fisher scoring at most
-TOLERANCE_DEG = 3e-3
 POSTERIOR_STEP_DEG = 1.0  # of the angles over which posteriors are summed
 DECAY_DEG = 1.0  # beyond the angles learned, in which the prior falls by a factor of e
 NORMAL_DEG = 0.4
@@ -93,9 +92,6 @@ def estimate_angle(
 ) -> tuple[float, float]:
     """Angle [deg] and its standard error [deg] of one frame, by Fisher scoring.
 
-    Every step regresses the residual on the curve's slope, in the metric of the noise and of the
-    curve's own uncertainty at the present angle.
-
     Args:
         curve: curve of the specimen.
         change: change from the flat sensor (K,).
@@ -106,15 +102,15 @@ def estimate_angle(
         angles, values = curve.grid(GRID)
         white = (change - values) @ whitening_matrix(noise).T
         start_deg = float(angles[np.einsum("ij,ij->i", white, white).argmin()])
-    angle, (low, high), information = start_deg, curve.angle_deg, 0.0
-    for _ in range(STEPS):
-        value, slope = curve.value_and_slope(angle)
-        weighted = solution(noise + curve.uncertainty(angle), slope)
-        information = float(weighted @ slope)
-        step = float(weighted @ (change - value)) / information
-        angle = min(max(angle + step, low - BEYOND_DEG), high + BEYOND_DEG)
-        if abs(step) < TOLERANCE_DEG:
-            break
+    low, high = curve.angle_deg
+    angle, information = implementation(KERNELS).score_angle(
+        curve.coefficients,
+        curve.blocks,
+        np.ascontiguousarray(change),
+        np.ascontiguousarray(noise),
+        start_deg,
+        (low - BEYOND_DEG, high + BEYOND_DEG),
+    )
     return angle, 1.0 / math.sqrt(information)
 
 
@@ -156,9 +152,11 @@ def robust_angle(
         if estimate.misfit_sigma >= SUSPICIOUS_SIGMA:  # perhaps at a local minimum
             angles, _ = curve.grid(GRID)
             densities = grid_log_densities(curve, angles, combined.change, combined.noise)
-            again = _estimate(curve, combined, float(angles[densities.argmax()]))
-            if again[0].log_evidence > estimate.log_evidence:
-                estimate, residual, whitening = again
+            start = float(angles[densities.argmax()])
+            if abs(start - estimate.angle_deg) > angles[1] - angles[0]:
+                again = _estimate(curve, combined, start)
+                if again[0].log_evidence > estimate.log_evidence:
+                    estimate, residual, whitening = again
         estimate = replace(estimate, faults=faults)
         if estimate.misfit_sigma < SUSPICIOUS_SIGMA or len(faults) == MAX_FAULTS:
             return estimate
