@@ -23,6 +23,7 @@ from eitskin.training.joint.touch_search import prune
 Array = NDArray[np.float64]
 
 FAULT_THRESHOLD = 25.0  # least decrease of the misfit by a fault, the same as by a touch
+GROSS_GAIN = 4.0 * FAULT_THRESHOLD  # the same of one by which most of a frame's change is
 ACCEPTED_SIGMA = 3.0  # highest misfit with the fault, in standard deviations above expectation
 SUSPICIOUS_SIGMA = 3.0  # misfit above its expectation from which a fault is considered
 MAX_FAULTS = 2  # in one frame
@@ -234,6 +235,23 @@ def possible_faults(protocol: Protocol, flat: Array) -> PossibleFaults:
     share = np.nan_to_num(np.nanmedian(flat) / flat)[:, None]
     changes = np.concatenate([np.eye(len(flat)), through[:, shared] * share], axis=1)
     return PossibleFaults(tuple(faults), changes)
+
+
+def gross_fault(
+    untouched: MapEstimate, found: MapEstimate, possible: PossibleFaults
+) -> ChannelFault | None:
+    """The fault that most of a frame's change is by, which hides touches; None if there is none.
+
+    Where `found` explains the frame, or the measurements that are left would be too few.
+    """
+    _, misfit, degrees_of_freedom = untouched.whole
+    if found.whole_sigma < SUSPICIOUS_SIGMA:
+        return None
+    fault, gain = possible.most_likely(untouched)
+    left = untouched.objective.combined.count - len(fault.members)
+    few = left < len(untouched.objective.combined.good) // 2
+    least = max(GROSS_GAIN, MIN_SHARE * (misfit - degrees_of_freedom))
+    return None if few or gain < least else fault
 
 
 def fit_with_fault(

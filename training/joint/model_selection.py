@@ -6,17 +6,19 @@ than chance would.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.training.joint.channel_faults import (
+    ACCEPTED_SIGMA,
     MAX_FAULTS,
     ChannelFault,
     PossibleFaults,
     fit_with_fault,
+    gross_fault,
 )
 from eitskin.training.joint.fit_kernels import ANGLE_UNIT, TOUCH_UNITS
 from eitskin.training.joint.objective import (
@@ -148,6 +150,11 @@ def fit_frame(
     """
     untouched, best_fit, evidence = _likeliest(objective, candidates, proposed)
     faults: list[ChannelFault] = []
+    if possible and (fault := gross_fault(untouched, best_fit, possible)):
+        fewer = replace(objective, combined=objective.combined.drop(fault.members))
+        again = _likeliest(fewer, candidates, None)
+        if again[1].whole_sigma < ACCEPTED_SIGMA:
+            (untouched, best_fit, evidence), faults = again, [fault]
     while possible and len(faults) < MAX_FAULTS:
         better = fit_with_fault(untouched, best_fit, possible)
         if better is None:

@@ -138,6 +138,21 @@ def test_faults_of_electrodes_are_told_and_are_no_touches(session, simulator):
     assert_touched(said, (0.040, 0.020))
 
 
+@pytest.mark.parametrize("channel", [9, 18])
+def test_a_measurement_that_is_wrong_is_left_out_and_touches_are_found(session, channel):
+    """It changes the frame more than the touches do; the frame after is as it was."""
+    places = [(0.040, 0.030), (0.110, 0.030)]
+    scene = Scene(touches=(Touch(*places[0], 10.0), Touch(*places[1], 9.0)))
+    assert_touched(session(scene), *places)
+    wrong = session.frame(scene).impedance * np.where(np.arange(28) == channel, 1.02, 1.0)
+    said = session(scene, impedance=wrong)
+    assert_touched(said, *places)
+    assert session.pipeline.layout.protocol.labels[channel] in said.problems[0]
+    after = session(scene)
+    assert_touched(after, *places)
+    assert not after.problems
+
+
 @pytest.mark.parametrize("electrode", range(8))
 def test_a_contact_that_rises_a_little_is_no_bend(session, simulator, electrode):
     """By 0.5 % of a channel: some clamp's bend would look much the same."""
