@@ -13,6 +13,7 @@ from eitskin.training.method.input_spec import require_usable
 from eitskin.training.method.observations import Observations, relative_difference
 from eitskin.training.method.predictions import Predictions, Zero
 from eitskin.training.method.sensor_health import ReadingRange, SensorHealth
+from eitskin.training.pipeline.earlier_touches import EarlierTouches
 from eitskin.training.pipeline.frame_order import MAX_GAP, SessionOrder
 from eitskin.training.pipeline.held_touch import MAX_HELD_FRAMES, HeldTouch, Phases
 from eitskin.training.pipeline.references import (
@@ -26,10 +27,6 @@ from eitskin.training.pipeline.references import (
 SMALL_MAGNITUDE_SHARE = 0.1
 MIN_GAIN_STEP, MAX_GAIN_STEP = 2e-4, 0.2  # of all channels alike, from frame to frame
 COMMON = 0.3  # spread of the channels over their mean, below which they change alike at most
-LINGERING, MOST_REST = 4.0, 2.0
-"""Twice the log odds against a touch that was there, from which it has gone, and the most that it
-may leave unexplained, in variances."""
-LEAST_BEND = 25.0  # square of a change by a bend that may hide touches, in variances
 MIN_EARLIER = 2  # frames of the untouched sensor that an onset is reported from
 # probability of a touch from which a frame does not renew the references
 SUSPICION_PROBABILITY = 1e-3
@@ -104,10 +101,7 @@ class Session:
         self._earlier.clear()
         self._phases, self._turned = Phases(), None
         self._onset, self._frames, self._lingers = 1, 1, False
-        self._hidden = False
-        self._forces, self._bends, self._places = (np.zeros((0, n)) for n in (0, 0, 2))
-        self._anchor = np.zeros(0, np.complex128)
-        self._odds = np.zeros(0)
+        self._places, self._touches = np.zeros((0, 2)), EarlierTouches()
         self.touched, self._suspected, self._outdated, self.doubt = False, False, False, ""
         self._age_at_start = 0.0 if self.stored is None else STORED_AGE
         self._renewed = -self._age_at_start
@@ -282,12 +276,9 @@ class Session:
                 of their forces, and by bends; see `Method.motions`.
         """
         if directions is not None:
-            count = len(directions) // 3
-            directions, self._bends = np.split(directions, [3 * count])
-            self._forces, self._anchor = directions[2 * count :], voltages
-            self._odds = np.zeros(count)
+            directions = self._touches.renew(voltages, directions)
         elif not touched:
-            self._lingers = self._hidden or self._may_linger(voltages)
+            self._lingers = self._touches.linger(voltages, self.touch, self._held.variance)
         started, self.touched = not self._suspected and self._onset > 1, touched
         self._suspected = touched or (
             self.averages and (chance > SUSPICION_PROBABILITY or self._lingers)
@@ -300,7 +291,7 @@ class Session:
         if self._suspected:
             self._earlier.clear()
         if touched:
-            self._opening, self._lingers, self._hidden = False, False, False
+            self._opening, self._lingers = False, False
         elif not self._suspected:
             self.average(voltages)
             self._outdated, self._renewed = False, self._order.elapsed_time
@@ -324,49 +315,16 @@ class Session:
                 best, count = shown, n
         return count
 
-    def _may_linger(self, voltages: Voltages) -> bool:
-        """Whether what was touched last may touch yet, as far as noise shows."""
-        if not len(self._forces):
-            return False
-        change = relative_difference(voltages, self.touch)
-        good, variance = np.isfinite(change), self._held.variance
-        change, along = change[good], self._forces[:, good]
-        size = np.einsum("kc,kc->k", along, along)
-        share = along @ change / size
-        rest = np.sum((change - share[:, None] * along) ** 2, axis=1)
-        self._odds = np.minimum(self._odds + (2.0 * share - 1.0) * size / variance, 0.0)
-        lingers = (self._odds > -LINGERING) & (rest < MOST_REST * len(change) * variance)
-        self._forces, self._odds = self._forces[lingers], self._odds[lingers]
-        return bool(lingers.any())
-
     def with_hidden(self, voltages: Voltages, observed: Observations) -> Observations | None:
         """Observations of a frame whose touches are there yet, though a bend hides them.
 
-        The change since the latest touched frame decides, whatever the bend curve is: a bend makes
-        it, and none of the touches. The dynamic reference becomes that touched frame without them,
-        so bent. None otherwise.
+        The dynamic reference becomes the sensor without them, so bent. None otherwise.
         """
-        held, self._hidden = self.touched or self._hidden, False
-        if not (held and len(self._bends) and self._held.is_noise_known):
+        variance = self._held.variance if self._held.is_noise_known else None
+        reference = self._touches.bent_reference(voltages, self.touched, variance)
+        if reference is None:
             return None
-        change = relative_difference(voltages, self._anchor)
-        good, variance = np.isfinite(change), 2.0 * self._held.variance
-        both, bends = np.vstack([change[good], self._forces[:, good]]), self._bends[:, good]
-        shares = np.linalg.lstsq(bends.T, both.T)[0].T
-        bent = shares[0] @ bends
-        rest, *along = both - shares @ bends
-        size = np.einsum("kc,kc->k", along, along)
-        stays = size + 2.0 * np.array(along) @ rest  # twice the log odds, in variances
-        if (
-            bent @ bent < LEAST_BEND * variance
-            or rest @ rest > MOST_REST * len(rest) * variance
-            or np.any(stays < LINGERING * variance)
-        ):
-            return None
-        reference = self._anchor * (1.0 - self._forces.sum(axis=0))
-        reference = reference * (1.0 + shares[0] @ self._bends)
         self.dynamic.restart(reference)
-        self._hidden = True
         weight = np.asarray(self._held.weight)[None]
         return replace(
             observed,
