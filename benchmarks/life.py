@@ -43,12 +43,14 @@ Array = NDArray[np.float64]
 SENSORS, QUICK_SENSORS = 15, 5
 SENSORS_AN_HOUR = 14  # whose streams last an hour together
 DEVIATIONS, LEAST_PLACE, LEAST_ANGLE = 3.0, 0.005, 2.0  # [m], [deg]: further off is wrong
+KNOWABLE = 3.0  # least signal of touches, in standard deviations of the noise of a frame
 FLAT_DEG = 4.0  # bends below this may be called idle
 ALL_EVENTS = "all events"
 _COLUMNS: Columns = {
     "event": ("event", "", 1),
     "frames": ("frames", "d", 1),
     "wrong [%]": ("confidently wrong", ".2f", 100.0),
+    "below noise [%]": ("wrong, below the noise", ".2f", 100.0),
     "flagged [%]": ("flagged though right", ".2f", 100.0),
     "told [%]": ("with a problem", ".3g", 100.0),
     "place [mm]": ("place, rms [mm]", ".3g", 1.0),
@@ -73,6 +75,7 @@ class Judgements:
     """Tested frames of one event: shares, errors, and errors over standard errors."""
 
     wrong: list[bool] = field(default_factory=list)
+    below: list[bool] = field(default_factory=list)
     flagged: list[bool] = field(default_factory=list)
     told: list[bool] = field(default_factory=list)
     place: list[float] = field(default_factory=list)
@@ -82,8 +85,18 @@ class Judgements:
     force: list[float] = field(default_factory=list)
     delay: list[float] = field(default_factory=list)
 
-    def add(self, said: Estimate, touches: Array, angle_deg: float, event: Event) -> bool:
-        """Test an estimate by the touches (k, 3) and the angle [deg]; returns whether right."""
+    def add(
+        self,
+        said: Estimate,
+        touches: Array,
+        angle_deg: float,
+        event: Event,
+        signal: float = np.inf,
+    ) -> bool:
+        """Test an estimate by the touches (k, 3) and the angle [deg]; returns whether right.
+
+        The signal is that of the touches, `Stream.signal`.
+        """
         true = touches[np.isfinite(touches[:, 0])]
         right = self._places(said, true, event) and self._angle(said, angle_deg, bool(len(true)))
         if not len(true) and abs(angle_deg) < FLAT_DEG:
@@ -92,6 +105,7 @@ class Judgements:
             right &= said.state is (State.TOUCH if len(true) else State.BEND)
         has_problem = bool(said.problems)
         self.wrong.append(not right and not has_problem)
+        self.below.append(self.wrong[-1] and signal < KNOWABLE)
         self.flagged.append(right and has_problem and event.healthy)
         self.told.append(has_problem)
         return right
@@ -140,6 +154,7 @@ class Judgements:
             "event": name,
             "frames": len(self.wrong),
             "confidently wrong": float(np.mean(self.wrong)),
+            "wrong, below the noise": float(np.mean(self.below)),
             "flagged though right": float(np.mean(self.flagged)),
             "with a problem": float(np.mean(self.told)),
             "place, rms [mm]": rms(self.place, 1e3),
@@ -151,8 +166,10 @@ class Judgements:
         }
 
 
-def judge(pipeline: Pipeline, stream: Stream, frames: Sequence[Any], event: Event) -> Judgements:
-    """Test the estimates of a session's frames after its opening.
+def judge(
+    pipeline: Pipeline, stream: Stream, frames: Sequence[Any], event: Event, signal: Array
+) -> Judgements:
+    """Test the estimates of a session's frames after its opening, by the signal (n,) of each too.
 
     The delay is the number of frames from each change of the touches to the first right estimate.
     """
@@ -162,7 +179,8 @@ def judge(pipeline: Pipeline, stream: Stream, frames: Sequence[Any], event: Even
         if n < OPENING:
             pipeline.process(frame)
             continue
-        right = found.add(pipeline.process(frame), stream.touches[n], stream.angle_deg[n], event)
+        true = stream.touches[n], float(stream.angle_deg[n])
+        right = found.add(pipeline.process(frame), *true, event, float(signal[n]))
         before, now = np.isfinite(stream.touches[n - 1 : n + 1, :, 0]).sum(axis=1).tolist()
         if before != now:
             waiting = n
@@ -231,7 +249,8 @@ def run(
                 known_frames = life.known.frames(*parts, 1.0, (*drawn, 1))[OPENING:]
                 pipeline.calibrate(known_frames, KNOWN_DEG)
             frames = stream.frames(*parts, noise, (*drawn, 0))
-            judgements = judge(pipeline, stream, frames, event)
+            signal = stream.signal(*parts[:2], noise)
+            judgements = judge(pipeline, stream, frames, event, signal)
             for each in (all_judged[name], all_judged[ALL_EVENTS]):
                 for part in Judgements.__slots__:
                     getattr(each, part).extend(getattr(judgements, part))

@@ -75,8 +75,9 @@ class Stream:
         """Frames as a board reads them in one session, with `noise` times its white noise."""
         start, further = np.random.default_rng(seed).spawn(2)
         impedances = board.terminal_impedances(self.impedance, protocol)
-        louder = replace(board, snr_db=board.snr_db - 20.0 * float(np.log10(noise)))
-        session = louder.session(protocol, float(np.abs(impedances[0, 0]).max()), start)
+        session = _with_noise(board, noise).session(
+            protocol, float(np.abs(impedances[0, 0]).max()), start
+        )
         times = PERIOD * np.arange(len(impedances), dtype=np.float64)
         values, status = session.measure(impedances, times, further)
         return [
@@ -85,6 +86,29 @@ class Stream:
                 zip(values * self.factor[:, None], status, strict=True)
             )
         ]
+
+    def signal(self, board: Instrument, protocol: Protocol, noise: float) -> Array:
+        """Change of the readings by the touches (n,), in standard deviations of a frame's noise.
+
+        Root of the sum of squares over the measurements, against the latest untouched frame; where
+        the sensor has bent since, that of the last frame before. Infinite without touches.
+        """
+        V = np.abs(board.transfer_impedance(self.impedance, protocol))
+        deviation = _with_noise(board, noise).deviation(float(V[0].max()))
+        signal, untouched = np.full(len(V), np.inf), 0
+        for n, angle in enumerate(self.angle_deg):
+            if not np.isfinite(self.touches[n, :, 0]).any():
+                untouched = n
+            elif angle == self.angle_deg[untouched]:
+                signal[n] = np.linalg.norm(V[n] - V[untouched]) / deviation
+            else:
+                signal[n] = signal[n - 1]
+        return signal
+
+
+def _with_noise(board: Instrument, noise: float) -> Instrument:
+    """The board with `noise` times its white noise."""
+    return replace(board, snr_db=board.snr_db - 20.0 * float(np.log10(noise)))
 
 
 @dataclass(eq=False)

@@ -142,6 +142,14 @@ def test_frames_are_judged_by_hand(estimate, touches, angle, event, expected):
     assert judged(estimate, touches, angle, event) == expected
 
 
+def test_wrong_frames_below_the_noise_count_apart():
+    found = Judgements()
+    for signal in (2.9, 3.1):
+        found.add(said(State.IDLE), np.array([[*AT, 8.0]]), 0.0, TRAINED, signal)
+    assert found.wrong == [True, True]
+    assert found.below == [True, False]
+
+
 def test_streams_show_what_they_say(tmp_path, monkeypatch):
     """One sensor: frames as many as truths, an opening that is flat, and solved changes."""
     names = ("touch, held and released", "one contact", "step of the gain", "leak of 100 kohm")
@@ -164,6 +172,10 @@ def test_streams_show_what_they_say(tmp_path, monkeypatch):
     before, after = (life.protocol.measure(leak.impedance[n]).real for n in (0, -1))
     changed = int(np.abs(after / before - 1.0).argmax())
     assert 1.0 / after[changed] - 1.0 / before[changed] == pytest.approx(1e-5, rel=1e-6)
+    signal, louder = (touched.signal(life.board, life.protocol, noise) for noise in (1.0, 2.0))
+    pressed = np.isfinite(touched.touches[:, 0, 0])
+    np.testing.assert_allclose(signal[pressed], 2.0 * louder[pressed])
+    assert (~np.isfinite(signal) == ~pressed).all()
     frames = life.streams[names[0]].frames(life.board, life.protocol, 40e3, 1.0, 3)
     assert len(frames) == len(touched.impedance)
     assert np.ptp([frame.time for frame in frames]) > 0.0
