@@ -64,7 +64,7 @@ MAX_SECONDS = 60  # of processor time of a trial, and six times as much altogeth
 NUMBERS = (np.nan, np.inf, -np.inf, -1.0, 0.0, 1e-300, 1e300, 1e38, -1e38, 2.0**31, 1e6, 361.0)
 TEXTS = (
     *("", " ", "a" * 300, "\0", "\x1b[2J", "\u202e", "1" * 5000, "9" * 20, "a b"),
-    *"- -- ../.. /dev/zero /proc/self/mem -5 1e400 nan inf 0 0.5 x:y : ::1 [ $(id)".split(),  # noqa: SIM905
+    *"- -- ../.. /proc/self/mem -5 1e400 nan inf 0 0.5 x:y : ::1 [ $(id)".split(),  # noqa: SIM905
     *"pairwise:8 adjacent:1e9 coarse true {} 0-4 1,2,3 virtual:?seed=-5 set none".split(),  # noqa: SIM905
 )
 
