@@ -122,10 +122,11 @@ class Info:
 
     @classmethod
     def from_protocol(cls, protocol: Protocol, **known: Any) -> "Info":
-        """Info of a board with a protocol; what is not known is NaN or zero."""
-        numbers: dict[str, Any] = dict.fromkeys(_ANALOG, math.nan)
+        """Info of a board with a protocol; what is not known is NaN, zero or empty."""
+        numbers: dict[str, Any] = dict.fromkeys((*_ANALOG, "period"), math.nan)
         numbers |= {"n_electrodes": protocol.n_electrodes, "n_measurements": len(protocol)}
         numbers |= {
+            "firmware": "",
             "uid": bytes(12),
             "boot_count": 0,
             "table_crc32": Table.from_protocol(protocol).crc32,

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,6 +32,7 @@ from eitskin.simulator.electrical.conductivity import (
     warn_of_edges,
 )
 from eitskin.simulator.electrical.function_space import (
+    Fields,
     FunctionSpace,
     MemoryLimitError,
     fits_memory,
@@ -50,26 +51,6 @@ from eitskin.simulator.linalg.multifrontal import MultifrontalSolver
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
 AreaRatio: TypeAlias = Callable[[Array, Array], Array]
-
-
-class Fields(NamedTuple):
-    """Potentials and current densities per unit current into each electrode.
-
-    The current leaves through all electrodes in equal parts, so that the difference of two
-    electrodes' entries belongs to a drive pair. Potentials are relative to the mean of the
-    electrode potentials.
-
-    Attributes:
-        potentials: potentials at the points of the mesh, (points, electrodes) [V/A].
-        electrode_potentials: impedance matrix, (electrodes, electrodes): potential of the first
-            electrode per current into the second [V/A].
-        current_densities: mean in each cell of the flat body, (cells, 3, electrodes) [1/m2].
-    """
-
-    potentials: Numbers
-    electrode_potentials: Numbers
-    current_densities: Numbers
-
 
 ISOTROPIC = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])  # entries of the identity
 

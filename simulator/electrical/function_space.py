@@ -24,6 +24,25 @@ _PER_POINT = 300.0  # deformation gradients and tensors
 _PER_FACTOR = 24.0  # numbers of both factors, and their rows
 
 
+class Fields(NamedTuple):
+    """Potentials and current densities per unit current into each electrode.
+
+    The current leaves through all electrodes in equal parts, so that the difference of two
+    electrodes' entries belongs to a drive pair. Potentials are relative to the mean of the
+    electrode potentials.
+
+    Attributes:
+        potentials: potentials at the points of the mesh, (points, electrodes) [V/A].
+        electrode_potentials: impedance matrix, (electrodes, electrodes): potential of the first
+            electrode per current into the second [V/A].
+        current_densities: mean in each cell of the flat body, (cells, 3, electrodes) [1/m2].
+    """
+
+    potentials: Numbers
+    electrode_potentials: Numbers
+    current_densities: Numbers
+
+
 class Rule(NamedTuple):
     """Quadrature rule in all cells, with c cells in an element and q points in each cell.
 
