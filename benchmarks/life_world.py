@@ -5,8 +5,9 @@ interpolated. Contacts, leaks, the board's gain and noise are added to the solve
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from scipy.interpolate import CubicSpline
 from eitskin.benchmarks.results import Progress
 from eitskin.benchmarks.transfer import recipes
 from eitskin.datasets.recipe.frame_sampling import instrument, specimen
+from eitskin.errors import ConfigurationError
 from eitskin.files import atomic_file
 from eitskin.frame import Frame
 from eitskin.geometry.deformation.fixtures import Bend, Twist
@@ -414,6 +416,7 @@ EVENTS: dict[str, Event] = {
     "taps of one frame": Event(_taps),
     "touched, then bent": Event(_touch_then_bend),
 }
+REDRAWN = 20  # times at most
 PAIRS = tuple(product(DISTANCES, RATIOS, PAIR_ANGLES))
 
 
@@ -429,6 +432,14 @@ class SensorLife:
     pairs: dict[tuple[float, float, float], Stream]
 
 
+def _draw(make: Callable[[Sensor], Stream], sensor: Sensor) -> Stream:
+    """A stream, drawn again where its touches are deeper than a soft sensor is solved for."""
+    for _ in range(REDRAWN):
+        with suppress(ConfigurationError):
+            return make(sensor)
+    return make(sensor)
+
+
 def lives(folder: Path, seed: int, count: int, progress: Progress) -> Iterator[SensorLife]:
     """Streams of sensors; those that `folder` does not have yet are solved."""
     for number in range(count):
@@ -441,9 +452,11 @@ def lives(folder: Path, seed: int, count: int, progress: Progress) -> Iterator[S
             parts = recipe.sensor, recipe.resolution, recipe.protocol
             rng = np.random.default_rng([seed, number])
             sensor = Sensor(drawn_specimen.simulator(*parts), rng)
-            streams = {name: event.make(sensor) for name, event in EVENTS.items()}
+            streams = {name: _draw(event.make, sensor) for name, event in EVENTS.items()}
             streams["known"] = sensor.stream(sensor.solve_angles(KNOWN_DEG), angle_deg=KNOWN_DEG)
-            streams |= {str(cell): _pair_apart(sensor, *cell) for cell in PAIRS}
+            for distance, ratio, angle in PAIRS:
+                apart = partial(_pair_apart, distance=distance, ratio=ratio, angle_deg=angle)
+                streams[str((distance, ratio, angle))] = _draw(apart, sensor)
             with atomic_file(path) as temporary, temporary.open("wb") as file:
                 np.savez_compressed(
                     file,

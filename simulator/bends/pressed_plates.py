@@ -63,9 +63,9 @@ Indices = NDArray[np.int64]
 log = logging.getLogger(__name__)
 
 # Version of the tables: raise it whenever they are solved in another way.
-_VERSION = 1
+_VERSION = 2
 ANGLES_DEG = (-20.0, 0.0, 25.0, 50.0)
-_PARTS = (0.45, 1.0)  # solved depths over the deepest of a place
+_PARTS = (0.3, 0.6, 1.0)  # solved depths over the deepest of a place
 # Deepest dent over the thickness of the stack, on a plate and in the middle between plates, where
 # the stack sinks several times as deep as it is dented, and how it changes next to the plate's
 # edge.
@@ -80,7 +80,7 @@ _ON_PLATE, _BETWEEN, _FROM_SIDE = (
 _MIN_PLACE_OFFSET = 0.4  # least distance of places from the middle over the thickness
 _FINENESS = Fineness(ends=0.0, sides=0.25, layers=1, rims=0.3, growth=1.5)
 # Nodes of fields over the thickness: in the gap and up to a distance next to it, and beyond.
-_FINE, _NEAR, _COARSE, _ACROSS, _DEGREE = 0.35, 1.8, 0.65, 13, 2
+_FINE, _NEAR, _COARSE, _ACROSS, _DEGREE = 0.35, 1.8, 0.65, 19, 2
 _TOLERANCE = 1e-3  # singular values, relative to the largest, that the table keeps
 _MINUTES = 25
 _DEPTH_MARGIN = 0.02  # of the deepest dent, by which another may be deeper
