@@ -223,7 +223,7 @@ _FIRST_FRAMES = 16
 _FIRST_SOLVED = 2  # where touches are solved in 3D, in about a minute each
 _GROWTH = 4
 _RUNS = 4
-_ENOUGH_SECONDS, _LONG_SECONDS = 1.0, 10.0
+_ENOUGH_SECONDS, _LONG_SECONDS = 0.5, 10.0
 
 
 def free_bytes(folder: Path) -> int:
@@ -267,8 +267,8 @@ def estimate_cost(recipe: Recipe, out: str | Path, workers: int = 2) -> CostEsti
     """Cost of `recipe`, extrapolated from some frames simulated in memory; writes nothing.
 
     The frames come from all parts of the dataset: 16, then 64, then four times as many until a run
-    takes a second. Work done once per process counts once, untouched specimens once for each shard
-    in which they occur, the rest per frame; the one or two seconds in which workers start are
+    takes half a second. Work done once per process counts once, untouched specimens once for each
+    shard in which they occur, the rest per frame; the one or two seconds in which workers start are
     neglected. Raises ConfigurationError for forces beyond the reach of the presses.
     """
     prepare(recipe, workers=workers)
