@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.geometry.design.outline import Polygon, Rectangle
+from eitskin.geometry.design.outline import Outline, Polygon, Rectangle
 
 Array = NDArray[np.float64]
 
@@ -156,12 +156,17 @@ def sides_in_reach(
             yield Side(at, (cos, sin), abs(aside), ends)
 
 
-def re_entrant_distance(outline: Polygon | Rectangle, x: float, y: float) -> float:
-    """Distance of (x, y) from the nearest re-entrant corner [m]; infinite where there is none."""
+def corner_distance(outline: Outline, x: float, y: float, angle: float = 0.0) -> float:
+    """Distance of (x, y) from the nearest corner of an inner angle above `angle` [m]; or infinity.
+
+    Re-entrant corners are above pi.
+    """
+    if not isinstance(outline, Polygon | Rectangle):
+        return math.inf
     sides = _sides(outline)
     corners = zip(sides.corners, sides.angles, strict=False)
-    bent = [math.dist((x, y), corner) for corner, angle in corners if angle > math.pi]
-    return min(bent, default=math.inf)
+    away = [math.dist((x, y), corner) for corner, own in corners if own > angle]
+    return min(away, default=math.inf)
 
 
 def _end(inward: float, way: float, angle: float) -> SideEnd:

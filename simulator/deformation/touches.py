@@ -28,7 +28,7 @@ from eitskin.simulator.deformation.dents import (
 )
 from eitskin.simulator.deformation.field import Field
 from eitskin.simulator.deformation.node_sums import NodeSums
-from eitskin.simulator.deformation.outline_sides import re_entrant_distance
+from eitskin.simulator.deformation.outline_sides import corner_distance
 from eitskin.simulator.deformation.pair_corrections import pair_corrections
 from eitskin.simulator.deformation.press_table import press_table
 from eitskin.simulator.deformation.pressed_sensor import (
@@ -58,6 +58,8 @@ _MIN_CORNER_DISTANCE = 2.0
 # Largest errors of the signal found beyond these distances, on a flat sensor, on a flat polygon, on
 # plates and over their gap, flat or bent, and on a rigid base that a clamp bends after the press.
 _FLAT, _POLYGON, _ON_PLATES, _OVER_GAP, _BENT_AFTER = 0.04, 0.07, 0.05, 0.10, 0.15
+# The same in a corner of a flat sensor, nearer to its vertex than so many radii of the indenter.
+_IN_CORNER, _CORNER_RADII = 0.08, 1.8
 _NOT_VALIDATED_AFTER_BEND = (
     "bent, rolled or twisted after the touch, with an unmeasured error; with the support "
     "'plates' and a clamp, without roll and twist, touch and bend are solved together"
@@ -335,7 +337,8 @@ def pressed_touches(
         neighbour = neighbour_distance(touch, touches)
         depth = each.depth + sunk
         cautions = _cautions(touch, edge, neighbour, depth, design)
-        error = flat
+        reach = _CORNER_RADII * touch.indenter.rims[1]
+        error = _IN_CORNER if corner_distance(outline, touch.x, touch.y) < reach else flat
         if bent_after:
             error = _BENT_AFTER
         elif isinstance(design.support, Plates):
@@ -376,7 +379,7 @@ def _cautions(
     outline, thickness = design.outline, design.encapsulated_thickness
     if not isinstance(outline, Rectangle | Polygon):
         reasons.append("on this outline the error was not measured")
-    elif re_entrant_distance(outline, touch.x, touch.y) < _MIN_CORNER_DISTANCE * thickness:
+    elif corner_distance(outline, touch.x, touch.y, math.pi) < _MIN_CORNER_DISTANCE * thickness:
         reasons.append("next to a re-entrant corner the error was not measured")
     if (
         isinstance(touch.indenter, Footprint)

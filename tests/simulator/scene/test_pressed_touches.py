@@ -110,6 +110,7 @@ def test_an_indenter_that_sinks_with_its_stack_reaches_its_depth(giving_way) -> 
     [
         ([(X, 0.0045)], None, "4.5 mm"),
         ([(X, 0.0050)], 0.04, ""),
+        ([(0.0055, 0.0055)], 0.08, ""),
         ([(X, Y), (X + 0.018, Y)], None, "18.0 mm from another"),
         ([(X, Y), (X + 0.021, Y)], 0.04, ""),
     ],
