@@ -34,7 +34,7 @@ from eitskin.simulator import ForwardModel, Protocol
 from eitskin.simulator.electrical.resolution import Discretisation
 from eitskin.training import PixelGrid, Reconstructor, Regularisation
 from eitskin.training.reconstruction.pixel_grid import segment
-from eitskin.training.reconstruction.reconstructor import Method
+from eitskin.training.reconstruction.reconstructor import REGION_METHOD, REGION_RULE, Method
 
 Array = NDArray[np.float64]
 Classes = NDArray[np.int8]
@@ -47,7 +47,7 @@ RULES: Mapping[Method, tuple[str, ...]] = {
 LAMBDAS = (1e-2, 1e-1, 1.0, 10.0)  # of pyEIT, times the mean diagonal of J^T J or J J^T
 MESH: Discretisation = ((1,), Grading(finest=6e-3, coarsest=8e-3, growth=1.0))  # of pyEIT
 POWER = 0.5  # of the diagonal of pyEIT's prior, as in its examples
-DEFAULT = "eitskin laplace", "snr:300"  # of `eitskin reconstruct --segment`
+DEFAULT = f"eitskin {REGION_METHOD}", REGION_RULE  # of `eitskin reconstruct --segment`
 TRAINING = "training"
 SIDE, DEVIATION = 256, 80.0  # of the truth, and of the Gaussian of scores [pixels]
 TRUNCATION = 2.0  # of that Gaussian [standard deviations]

@@ -74,13 +74,17 @@ def command(
 
     from eitskin.hardware.opening import is_board
     from eitskin.training.reconstruction.pixel_grid import picture_regions
-    from eitskin.training.reconstruction.reconstructor import Method, suited_difference
+    from eitskin.training.reconstruction.reconstructor import (
+        REGION_METHOD,
+        REGION_RULE,
+        Method,
+        suited_difference,
+    )
 
-    # Regions need smooth pictures more than sharp ones: their edges are found by thresholds.
-    chosen = method or ("laplace" if segment else "greit")
+    chosen = method or (REGION_METHOD if segment else "greit")
     names: list[Method] = [chosen] if chosen != "all" else [*get_args(Method)]
     chosen_rule = training.Regularisation.from_text(
-        rule or ("snr:300" if segment else "noise-figure:1")
+        rule or (REGION_RULE if segment else "noise-figure:1")
     )
     _require_out(out)
 

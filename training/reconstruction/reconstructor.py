@@ -37,6 +37,9 @@ Difference = Literal["relative", "absolute"]
 
 CLEAR = 0.02  # of channels' root mean square, above which relative differences are the default
 MAX_SMALL = 0.01  # share of the channels of a reference that are smaller than that
+REGION_METHOD: Method = "laplace"
+REGION_RULE = "snr:300"
+"""Of images that regions are found in: thresholds find their edges, so that they may be smooth."""
 MIRROR_CORRELATION = 0.995  # correlation of the readings of two changes that count as the same
 VISIBLE = 3.0  # standard deviations of noise, above which a value of a picture says something
 MIN_STILL_FRAMES = 5  # frames of one state, from which noise is read
