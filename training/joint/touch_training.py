@@ -109,7 +109,9 @@ def fit_response(
     def loss(modelled: Tensor, target: Tensor) -> Tensor:
         error = ((modelled - target[:, :-1]).square() * target[:, -1:]).mean()
         departures = (network.log_strength / LOG_STRENGTH_STD).square().mean()
-        return error + 1e-3 * (departures + network.latent.square().mean())
+        if network.latent.numel():  # few specimens have none, and a mean of nothing is NaN
+            departures = departures + network.latent.square().mean()
+        return error + 1e-3 * departures
 
     history = train_network(
         network,
