@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.simulator.deformation.field import Basis, CubicSplines, Field
-from eitskin.simulator.deformation.solution_table import BLOCK, SolutionTable, product_in_blocks
+from eitskin.simulator.deformation.solution_table import SolutionTable, product_in_blocks
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.floating]
@@ -15,6 +15,7 @@ Indices = NDArray[np.int64]
 
 DIRECT, BOTH_MIRRORED = (0, 0), (1, 1)
 MIRRORED_X, MIRRORED_Y = (1, 0), (0, 1)
+_AT_ONCE = 16  # fields that are added together
 
 
 class NodeSums:
@@ -68,8 +69,8 @@ class NodeSums:
         slots, slot = np.unique(number, return_inverse=True)
         # Factors of each field come first: there are fewer sums than fields.
         total: Numbers = np.zeros(0, np.float32)
-        for start in range(0, len(amounts), BLOCK):
-            rows = slice(start, start + BLOCK)
+        for start in range(0, len(amounts), _AT_ONCE):
+            rows = slice(start, start + _AT_ONCE)
             fields = product_in_blocks(amounts[rows], modes.reshape(len(modes), -1))
             fields = fields.reshape(-1, *modes.shape[1:])
             own = (each[rows] if each.ndim == 3 else None for each in (along, across))

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.simulator.deformation.solution_store import Arrays
+from eitskin.simulator.linalg.alike_products import block_rows
 
 Array = NDArray[np.float64]
 
 TOLERANCE = 3e-4
 """Singular values, relative to the largest, that a table keeps."""
-BLOCK = 16  # rows of one product
 _OF_FIELD = 4  # dimensions of the coefficients of one field
 
 
@@ -173,7 +173,8 @@ def product_in_blocks(rows: NDArray[np.floating], matrix: NDArray[np.floating]) 
     The rows are multiplied in blocks of one size, filled up with zeros: what is found of one row
     depends on no other, and not on their number.
     """
-    blocks = np.zeros((-(-len(rows) // BLOCK), BLOCK, rows.shape[1]), matrix.dtype)
+    each = block_rows()
+    blocks = np.zeros((-(-len(rows) // each), each, rows.shape[1]), matrix.dtype)
     blocks.reshape(-1, rows.shape[1])[: len(rows)] = rows
     return np.asarray(np.matmul(blocks, matrix).reshape(-1, matrix.shape[1])[: len(rows)])
 

@@ -26,6 +26,8 @@ from eitskin.simulator.electrical.assembly import Assembly
 from eitskin.simulator.electrical.cem_system import ElementProducts, impedance_matrix
 from eitskin.simulator.electrical.deformed_layer import DeformedLayer
 from eitskin.simulator.electrical.forward_model import ForwardModel
+from eitskin.simulator.linalg.alike_products import column_margin
+from eitskin.threads import one_thread
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
@@ -38,7 +40,7 @@ TOLERANCE: Tolerance = 1e-4
 EXACT: Tolerance = 0.0
 """Tolerance of scenes that are each solved on its own, without the factors of another."""
 _COLUMNS = 64  # right sides that are solved at once: as fast as more
-_FULL = 16  # columns that products of matrices take alike, wherever they are
+_FULL = 16  # columns, of which there are a multiple
 _MAX_CORRECTIONS = 8  # corrections, before a scene is solved on its own
 _FALLS = 0.25  # ratio of two changes of the impedances in turn, of corrections that converge
 _SINGLE = 1e-5  # tolerance from which element matrices are in single precision
@@ -139,6 +141,7 @@ class BatchSolver:
         Z = np.real(impedance_matrix(system.admittance, system.coupling.T @ w))
         self.base = Base(Z, np.ascontiguousarray(w[self.order], dtype=np.float64))
 
+    @one_thread()
     def solve(
         self,
         scenes: Iterable[LayerFields],
@@ -160,9 +163,13 @@ class BatchSolver:
         """
         waiting, width = enumerate(scenes), width or self.width
         electrodes = len(self.base.impedance)
-        places = [slice(k * electrodes, (k + 1) * electrodes) for k in range(width)]
         columns = -(-width * electrodes // _FULL) * _FULL
-        x = np.zeros((len(self.order), columns), dtype=np.float32)
+        margin = column_margin(columns)
+        if margin is None:
+            margin, width = 0, 1  # always at the same place
+        firsts = [margin + k * electrodes for k in range(width)]
+        places = [slice(first, first + electrodes) for first in firsts]
+        x = np.zeros((len(self.order), columns + 2 * margin), dtype=np.float32)
         solved: dict[int, Solution | None] = {}
         active: dict[int, _Projection] = {}
         while True:
