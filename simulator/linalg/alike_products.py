@@ -1,6 +1,6 @@
 """Products in single precision in which equal rows or columns are equal to the last bit.
 
-What is found of a scene must not depend on its neighbours in an array, nor on its place there. But
+Numbers of a scene must not depend on its neighbours in an array, nor on its place there. But
 near the ends of an array some processors add up the terms of a product in another order (OpenBLAS
 on Haswell and Zen). Where they do is found by products of equal rows and columns, in one thread:
 more would divide an array, and each part has ends.
@@ -27,7 +27,7 @@ def block_rows() -> int:
 
     def are_alike(rows: int) -> bool:
         for outer, inner in _SHAPES:
-            product = _repeated(inner, rows).T @ _matrix(inner, outer)
+            product = _equal_columns(inner, rows).T @ _matrix(inner, outer)
             if (product != product[0]).any():
                 return False
         return True
@@ -45,7 +45,7 @@ def column_margin(columns: int) -> int | None:
         for outer, inner in _SHAPES:
             matrix = _matrix(outer, inner)
             for factor in (matrix, matrix.T):
-                product = (factor @ _repeated(factor.shape[1], columns + 2 * margin))[:, used]
+                product = (factor @ _equal_columns(factor.shape[1], columns + 2 * margin))[:, used]
                 if (product != product[:, :1]).any():
                     return False
         return True
@@ -57,6 +57,6 @@ def _matrix(rows: int, columns: int) -> Single:
     return np.random.default_rng(0).standard_normal((rows, columns), dtype=np.float32)
 
 
-def _repeated(rows: int, columns: int) -> Single:
+def _equal_columns(rows: int, columns: int) -> Single:
     """Equal columns, row by row in memory."""
     return np.repeat(_matrix(rows, 1), columns, axis=1)
