@@ -249,10 +249,21 @@ def named_board(uri: str | None) -> str:
     return uri
 
 
-def opened_board(uri: str, seed: int) -> "hardware.Board":
-    """Board of a URI, open; the seed is for a virtual one whose URI has none."""
-    drawn = uri.startswith(VIRTUAL) and "seed=" not in uri
-    return hardware.open_board(uri, **({"seed": seed} if drawn else {}))
+def opened_board(
+    uri: str, seed: int, layout: "training.InputSpec | None" = None
+) -> "hardware.Board":
+    """Board of a URI, open.
+
+    A virtual one has the seed, and the sensor and measurements of a pipeline's layout, except for
+    what its URI says.
+    """
+    given: dict[str, Any] = {}
+    if uri.startswith(VIRTUAL):
+        given = {} if "seed=" in uri else {"seed": seed}
+        is_described = "sensor=" in uri or "protocol=" in uri
+        if layout is not None and layout.known_design is not None and not is_described:
+            given |= {"sensor": layout.known_design, "protocol": layout.known_protocol}
+    return hardware.open_board(uri, **given)
 
 
 @contextlib.contextmanager

@@ -88,7 +88,7 @@ def command(
             raise ConfigurationError("--values and --protocol describe a --recording; name one")
         pipeline = training.open_pipeline(model or SHIPPED_PIPELINE, options.own_method(method))
         spec, uri = pipeline.layout, options.named_board(board)
-        with options.opened_board(uri, seed) as opened:
+        with options.opened_board(uri, seed, spec) as opened:
             suits = model is not None or opened.protocol == spec.known_protocol
             if suits:
                 spec.require_same_measurements(opened.protocol, opened.info.frequency)

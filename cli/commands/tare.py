@@ -55,7 +55,7 @@ def command(
     if dataset is not None:
         reference = pipeline.tare([reference_frame(dataset, specimen)], zero, "", str(dataset))
     else:
-        with options.opened_board(str(board), seed) as opened:
+        with options.opened_board(str(board), seed, pipeline.layout) as opened:
             output.note(f"measuring {frames} frames; keep the sensor {zero}, still and untouched")
             reference = measure_reference(pipeline, opened, frames, zero)
     reference.write(out)

@@ -5,6 +5,7 @@ import json
 import os
 import time
 import types
+from dataclasses import replace
 from functools import partial
 from unittest import mock
 
@@ -15,12 +16,16 @@ from rich.console import Console
 from rosbags.rosbag2 import Writer
 
 from eitskin.cli.commands.live.session import LiveSession, Recording, touch_picture
-from eitskin.cli.options import Output
+from eitskin.cli.options import Output, opened_board
 from eitskin.datasets import ShardWriter, open_dataset
 from eitskin.errors import PartialError
+from eitskin.geometry import SensorDesign
+from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.hardware import Connection, Counts, Reading
 from eitskin.hardware.ros2 import skin_node
-from eitskin.simulator import Status
+from eitskin.simulator import Protocol, Status
+from eitskin.training import InputSpec
 from eitskin.training.method.predictions import Zero
 
 from live_fakes import PROTOCOL, Estimate, FakePipeline, frame, run_command
@@ -65,6 +70,16 @@ def test_the_command_shows_frames_as_json_and_lines_and_says_what_is_not_estimat
     shown = run(pipeline, *board).stdout
     assert shown.count("not estimated") == 3
     assert "touch map" not in shown
+
+
+def test_a_virtual_board_imitates_the_pipelines_sensor_unless_it_is_described():
+    outline = Rectangle(0.06, 0.04)
+    ring = uniform(outline, 5, 0.004)
+    patch = replace(SensorDesign.reference(), outline=outline, electrodes=ring)
+    layout = InputSpec(patch, Protocol.from_name("adjacent", 5), 40e3, np.ones(10))
+    for query, electrodes in (("", 5), ("&protocol=pairwise", 8)):
+        with opened_board(f"virtual:?speed=max&resolution=coarse{query}", 0, layout) as board:
+            assert board.protocol.n_electrodes == electrodes
 
 
 def test_the_seed_is_the_virtual_boards(run, tmp_path):

@@ -95,7 +95,7 @@ def command(
         stack.enter_context(options.ended_by_signals())
         for recording in _recordings(record, mcap):
             recordings.append(stack.enter_context(closing(recording)))
-        opened = stack.enter_context(options.opened_board(board, seed))
+        opened = stack.enter_context(options.opened_board(board, seed, pipeline.layout))
         pipeline.layout.require_same_measurements(opened.protocol, opened.info.frequency)
         output.detail(f"{opened.uri}: firmware {opened.info.firmware}, {opened.protocol.labels}")
         if reference is not None:

@@ -261,7 +261,7 @@ def calibrate(
         use_reference(pipeline, reference, None, output)
     all_angles = ([0.0] if pipeline.stored_reference is None else []) + parse_angles(angles)
     layout, taken_frames = pipeline.layout, []
-    with options.opened_board(board, seed) as opened:
+    with options.opened_board(board, seed, layout) as opened:
         layout.require_same_measurements(opened.protocol, opened.info.frequency)
         alone = left_alone if opened.stage is None or "scene=" in board else stage_poses(0.0)
         hand = alone if no_prompt else ask_for_poses(TerminalDialogue(output))

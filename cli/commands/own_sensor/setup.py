@@ -82,7 +82,7 @@ def command(
         )
     try:
         uri = board or ("virtual:?speed=max" if no_prompt else _chosen_board(dialogue))
-        adapted = setup.run(partial(opened_board, uri, seed))
+        adapted = setup.run(partial(opened_board, uri, seed, start.layout if start else None))
     except (KeyboardInterrupt, typer.Abort):
         output.note(setup.kept_files_note, whole=True)
         raise KeyboardInterrupt from None
