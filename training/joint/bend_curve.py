@@ -51,6 +51,8 @@ class BendCurve(StoredFields):
     angle_deg: tuple[float, float]
     coefficients: Array = field(init=False, repr=False)
     blocks: Array = field(init=False, repr=False)
+    _grids: dict[int, tuple[Array, Array]] = field(init=False, repr=False, default_factory=dict)
+    _spreads: dict[bytes, Array] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         """Arrange coefficients and covariances for evaluation."""
@@ -69,8 +71,10 @@ class BendCurve(StoredFields):
 
     def grid(self, count: int) -> tuple[Array, Array]:
         """Angles (count,) [deg] over the range learned from, and values there (count, K)."""
-        angles = np.linspace(*self.angle_deg, count)
-        return angles, self.value(angles)
+        if count not in self._grids:
+            angles = np.linspace(*self.angle_deg, count)
+            self._grids[count] = angles, self.value(angles)
+        return self._grids[count]
 
     def slope(self, angle_deg: float) -> Array:
         """Derivative by the angle (K,) [1/deg]."""
@@ -94,11 +98,14 @@ class BendCurve(StoredFields):
         return covariance.reshape(channels, channels)
 
     def uncertainties(self, angle_deg: Array) -> Array:
-        """`uncertainty` of B at angles (n,) [deg], (n, K, K)."""
-        random, channels = self.effects.shape
-        weights = _powers(angle_deg[:, None] / SCALE, random)
-        products = (weights[:, :, None] * weights[:, None, :]).reshape(len(weights), -1)
-        return np.asarray(products @ self.blocks).reshape(-1, channels, channels)
+        """`uncertainty` of B at angles (n,) [deg], (n, K, K); kept, as the same ones are asked."""
+        if (key := angle_deg.tobytes()) not in self._spreads:
+            random, channels = self.effects.shape
+            weights = _powers(angle_deg[:, None] / SCALE, random)
+            products = (weights[:, :, None] * weights[:, None, :]).reshape(len(weights), -1)
+            spreads = np.asarray(products @ self.blocks).reshape(-1, channels, channels)
+            self._spreads[key] = spreads
+        return self._spreads[key]
 
     def condition(self, angle_deg: Array, change: Array, noise: Array) -> "BendCurve":
         """Posterior of the curve given changes of log V at known angles, by Bayes' rule.

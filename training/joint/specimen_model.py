@@ -343,11 +343,13 @@ class SpecimenModel:
         estimate = robust_angle(self.curve, combined, self.faults)
         if self.networks is None:
             return posterior_angle(self.curve, combined, estimate)
+        if not combined.good.all():
+            return estimate
         networks, features = self.networks
         by_networks = networks.estimate(combined.change, features, math.sqrt(combined.drift))
         by_curve = (estimate.angle_deg, estimate.deviation_deg)
         apart = abs(by_networks[0] - by_curve[0]) / math.hypot(by_networks[1], by_curve[1])
-        if not combined.good.all() or (estimate.faults and apart < CONTRADICTION):
+        if estimate.faults and apart < CONTRADICTION:
             return estimate
         if estimate.faults:
             angle, deviation = mixture_moments(by_curve, by_networks, 0.5)
