@@ -12,6 +12,9 @@ from eitskin.training.pipeline.references import Voltages
 LINGERING, MOST_REST = 4.0, 2.0
 """Twice the log odds against a touch that was there, from which it has gone, and the most that it
 may leave unexplained, in variances."""
+EXPLAINED = 0.5
+"""Most that may be left besides noise where the sensor has bent since, over what the touch
+explains: bends are known roughly."""
 SHOWN, LEAST_SHARE = 2.5, 0.2
 """Standard errors of its share, and the least one, from which a touch that is weaker than it was
 has not gone."""
@@ -59,16 +62,31 @@ class EarlierTouches:
             return False
         change = relative_difference(voltages, reference)
         good = np.isfinite(change)
-        change, along = change[good], self._forces[:, good]
-        size = np.einsum("kc,kc->k", along, along)
-        share = along @ change / size
-        rest = np.sum((change - share[:, None] * along) ** 2, axis=1)
+        share, size, rest = self._weigh(change[good], self._forces[:, good])
+        noise = np.count_nonzero(good) * variance
+        most = np.full(len(share), MOST_REST * noise)
+        if len(self._bends) and np.all(rest >= most):
+            # Directions that bends change as well are no evidence of a touch.
+            bends = self._bends[:, good]
+            both = np.vstack([change[good], self._forces[:, good]])
+            both -= np.linalg.lstsq(bends.T, both.T)[0].T @ bends
+            share, size, rest = self._weigh(both[0], both[1:])
+            most = np.maximum(most, noise + EXPLAINED * share**2 * size)
         self._odds = np.minimum(self._odds + (2.0 * share - 1.0) * size / variance, 0.0)
         least_share = np.maximum(SHOWN * np.sqrt(variance / size), LEAST_SHARE)
         lingers = (self._odds > -LINGERING) | (share > least_share)
-        lingers &= rest < MOST_REST * len(change) * variance
+        lingers &= rest < most
         self._forces, self._odds = self._forces[lingers], self._odds[lingers]
         return bool(lingers.any())
+
+    @staticmethod
+    def _weigh(
+        change: NDArray[np.float64], along: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Share of each of k touches (k, C) in a change (C,), their squares, and the rest's."""
+        size = np.einsum("kc,kc->k", along, along)
+        share = along @ change / size
+        return share, size, np.sum((change - share[:, None] * along) ** 2, axis=1)
 
     def bent_reference(
         self, voltages: Voltages, touched: bool, variance: float | None

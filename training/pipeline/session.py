@@ -321,7 +321,8 @@ class Session:
         The dynamic reference becomes the sensor without them, so bent. None otherwise.
         """
         variance = self._held.variance if self._held.is_noise_known else None
-        reference = self._touches.bent_reference(voltages, self.touched, variance)
+        held = self.touched or self._lingers
+        reference = self._touches.bent_reference(voltages, held, variance)
         if reference is None:
             return None
         self.dynamic.restart(reference)

@@ -33,6 +33,17 @@ def test_a_weaker_touch_lingers_until_noise_hides_it(touches, share, lingers):
     assert said == [lingers] * 3
 
 
+@pytest.mark.parametrize(
+    ("share", "other", "lingers"),
+    [(1.0, 0.0, True), (1.0, 0.3, True), (1.0, 2.0, False), (0.0, 0.0, False), (0.0, 0.3, False)],
+)
+def test_a_touch_lingers_where_the_sensor_has_bent_since(touches, share, other, lingers):
+    """Whatever else the frame shows, unless that is more than the touch."""
+    unexplained = other * np.roll(FORCE, 1)
+    bent = frame(share * FORCE + 2.0 * BEND + unexplained)
+    assert touches.linger(bent, FLAT, DEVIATION**2) == lingers
+
+
 def test_a_bend_hides_a_touch_until_it_is_released(touches):
     for turn in (1.0, 2.0):
         bent = touches.bent_reference(frame(FORCE + turn * BEND), turn == 1.0, DEVIATION**2)

@@ -167,6 +167,27 @@ def test_a_touch_that_slides_is_not_dragged_behind(speed):
     assert np.sqrt(np.mean((seen - places)[4:] ** 2)) < 0.9
 
 
+def test_a_touch_that_lingers_waits_for_a_bend_that_settles_it():
+    """A bend hides it that is too small at first to show that it is one."""
+    force, along, turn = np.random.default_rng(3).standard_normal((3, 28)) * 2e-3
+    session, values = Session(NOISE, averages=True), frames(FLAT, 15)
+    for number, value in enumerate(values[:12]):
+        session.follow(Frame(value, Protocol.pairwise(8), time=0.3 * number, number=number))
+        if session.empty:
+            session.average(value)
+        session.to_observations(value)
+        session.renew(value, touched=False)
+    shares = zip(values[12:], (0.0, 0.1, 3.0), strict=True)
+    touched, barely, bent = (value * (1.0 + force + share * turn) for value, share in shares)
+    session.renew(touched, touched=True, directions=np.array([along, along, force, turn]))
+    for value, hides in ((barely, False), (bent, True)):
+        observed = session.to_observations(value)
+        assert (session.with_hidden(value, observed) is not None) == hides
+        session.renew(value, touched=False)
+        assert any("an earlier touch" in problem for problem in session.problems(("",) * 28))
+    assert error(session.touch, FLAT * (1.0 + 3.0 * turn)) < 1e-3
+
+
 # ---- flat sensors ----
 
 RNG = np.random.default_rng(3)
