@@ -275,7 +275,7 @@ def mesh(
     output: options.Output,
 ) -> None:
     """Mesh a sensor: number and quality of its cells, and a picture."""
-    from eitskin.geometry.meshing.mesh_design import mesh_design
+    from eitskin.simulator.deformation.stored_mesh import stored_mesh
     from eitskin.simulator.electrical.resolution import discretisation, suited_cells
     from eitskin.simulator.view.drawing import require_picture
 
@@ -288,7 +288,7 @@ def mesh(
         require_picture(view)
     start = time.perf_counter()
     _, grading = discretisation(resolution, design, kind)
-    new_mesh = mesh_design(design, grading, kind)
+    new_mesh = stored_mesh(design, grading, kind)
     data = _mesh_data(design, new_mesh, kind, time.perf_counter() - start)
     output.result(
         data, make_table(("mesh", Column("", justify="right")), _mesh_rows(data), show_header=False)

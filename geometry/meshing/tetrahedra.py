@@ -42,7 +42,8 @@ def tetrahedral_mesh(design: SensorDesign, grading: Grading) -> Mesh:
     points of the boundary are then put back on the body's faces, edges and corners. Points are
     numbered by rising x. Interfaces between layers of different conductivity are not fitted.
 
-    Two runs give different meshes of the same sizes and quality: fTetWild cannot be seeded.
+    Two runs give different meshes of the same sizes and quality: fTetWild cannot be seeded, so
+    that the simulator stores each.
 
     Args:
         design: the sensor.

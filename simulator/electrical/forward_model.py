@@ -16,8 +16,9 @@ from eitskin.geometry.design.inclusion import Inclusion
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.mesh import Mesh
 from eitskin.geometry.meshing.mesh_body import MeshBody
-from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design
+from eitskin.geometry.meshing.mesh_design import CellKind
 from eitskin.protocol import Protocol
+from eitskin.simulator.deformation.stored_mesh import stored_mesh
 from eitskin.simulator.electrical.assembly import Assembly, Stiffness
 from eitskin.simulator.electrical.cem_system import (
     CemSystem,
@@ -106,13 +107,13 @@ class ForwardModel:
         """
         cells = cells or ("prisms" if inclusions else suited_cells(resolution, design, breaks))
         order, grading = discretisation(resolution, design, cells)
-        mesh = mesh_design(design, grading, cells, breaks, inclusions)
+        mesh = stored_mesh(design, grading, cells, breaks, inclusions)
         try:
             self._begin(design, mesh, order, solver)
         except MemoryLimitError as error:
             for name in faster_resolutions(resolution):
                 order, grading = discretisation(name, design, cells)
-                mesh = mesh_design(design, grading, cells, breaks, inclusions)
+                mesh = stored_mesh(design, grading, cells, breaks, inclusions)
                 if fits_memory(FunctionSpace(mesh, order)):
                     raise MemoryLimitError(f"{error}; '{name}' fits this design") from None
             raise

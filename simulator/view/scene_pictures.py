@@ -14,8 +14,9 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import Deformation, largest_strain
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh import Mesh
-from eitskin.geometry.meshing.mesh_design import mesh_design, natural_cells
+from eitskin.geometry.meshing.mesh_design import natural_cells
 from eitskin.protocol import Protocol
+from eitskin.simulator.deformation.stored_mesh import stored_mesh
 from eitskin.simulator.electrical.forward_model import AreaRatio, ForwardModel
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Field, Simulator
@@ -120,7 +121,7 @@ def draw_scenes(
     layers = 1 if kind == "tetrahedra" else max(3, round(sim.design.thickness / (4.0 * size)))
     grading, order = Grading(size, size, 1.0, layers), (1,) if kind == "tetrahedra" else (1, 1)
     model = ForwardModel(sim.design, (order, grading)) if colour == "current" else None
-    flat = model.mesh if model else mesh_design(sim.design, grading)
+    flat = model.mesh if model else stored_mesh(sim.design, grading)
     drawings = []
     for title, scene in scenes:
         pair = (drive or most_sensitive_pair(sim, scene)) if model else ()

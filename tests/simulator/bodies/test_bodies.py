@@ -1,5 +1,7 @@
 """Bodies from surface files, bent and pressed on tetrahedra: balances, boxes, and refusals."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import skfem
@@ -8,7 +10,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Electrode, Rectangle, SensorDesign, Surface
 from eitskin.geometry.deformation.fixtures import Clamp, FreeArc
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.simulator import Mechanics, Scene, Simulator
+from eitskin.simulator import ForwardModel, Mechanics, Scene, Simulator
 from eitskin.simulator.bends.bend_3d import ClampedStack
 from eitskin.simulator.bodies import pressed_body
 from eitskin.simulator.bodies.clamped_body import ClampedBody
@@ -173,6 +175,21 @@ def test_a_box_is_pressed_as_a_stack_of_hexahedra_is(design) -> None:
 @pytest.fixture(scope="module")
 def sim(design):
     return Simulator(design, ((2,), COARSE), fixture=FreeArc(0.030))
+
+
+@pytest.mark.slow
+def test_a_body_has_the_same_bits_every_time_by_its_shape_not_its_file(tmp_path, monkeypatch):
+    monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path / "cache"))
+    resolution = ((1,), COARSE)
+    for name in ("one", "other"):  # which the mesher alone fills with other cells each time
+        (tmp_path / name).mkdir()
+    body, copy = (box(tmp_path / name)[0] for name in ("one", "other"))
+    first, again = ForwardModel(body, resolution), ForwardModel(copy, resolution)
+    assert first.mesh.points.tobytes() == again.mesh.points.tobytes()
+    assert first.impedance().tobytes() == again.impedance().tobytes()
+    moved = dataclasses.replace(body, electrodes=body.electrodes[::-1][:3])
+    ForwardModel(moved, resolution)
+    assert len(list((tmp_path / "cache").glob("mesh-*.npz"))) == 2
 
 
 @pytest.mark.slow
