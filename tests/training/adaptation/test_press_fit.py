@@ -95,6 +95,18 @@ def test_few_presses_are_explained_in_several_ways():
 
 
 @pytest.mark.slow
+def test_noisy_places_are_drawn_to_the_middle_as_suits_presses_not_seen():
+    corner = np.array([0.3, 0.2])  # the middle is not at the origin
+    ratio, places, _ = toy_presses(noise=0.02)
+    locator = learn_places(LabelledPresses(ratio, places + corner)).locator
+    other, where, _ = toy_presses(400, seed=10, noise=0.02)
+    middle = locator.grid.middle
+    away = dataclasses.replace(locator, trust=1.0).apply(other) - middle
+    best = np.vdot(away, where + corner - middle) / np.vdot(away, away)  # 0.58
+    assert abs(locator.trust - best) < 0.2  # 0.68: left-out presses show a little more
+
+
+@pytest.mark.slow
 def test_measured_hydrogel_skin():
     """500 presses of a real skin: places of the last 100 from the first 400, without a design."""
     if not (DATA / "ohmc8.mat").is_file():
