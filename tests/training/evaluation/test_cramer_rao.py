@@ -1,6 +1,5 @@
 """Bounds against closed forms, against estimates that reach them, and on real scenes."""
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,7 +12,6 @@ from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Instrument, Scene, Simulator, Touch
 from eitskin.simulator.instrument.meter import FourTerminalMeter
 from eitskin.training.evaluation.cramer_rao import (
-    SceneDerivatives,
     cramer_rao_bound,
     mean_distance,
     scene_derivatives,
@@ -113,29 +111,3 @@ def test_differences_are_of_second_order_next_to_limits_too(place, force):
     assert found.resistance == pytest.approx(-np.exp(model.logarithm(scene)))
     for each in model.seen:
         model.deformation(each)
-
-
-ALIKE = SceneDerivatives(np.ones(3), np.zeros((0, 3, 3)), np.full(3, 0.01))
-TOUCHED = Scene(touches=(Touch(0.03, 0.03, 10.0),))
-DEEP = Scene(touches=(Touch(0.03, 0.03, depth=1e-3),))
-G, S = drawn(6)
-
-
-@pytest.mark.parametrize(
-    ("bound", "match"),
-    [
-        (lambda: ALIKE.bound(0.0), "above 0"),
-        (lambda: ALIKE.bound([1e-3, -1e-3, 1e-3]), "above 0"),
-        (lambda: ALIKE.bound(math.nan), "above 0"),
-        (lambda: ALIKE.bound(1e-3, 0.0), "above 0"),
-        (lambda: ALIKE.bound(1e-3, angle_known=True), "got neither"),
-        (lambda: cramer_rao_bound([G[0], G[0]], S), "separately"),
-        (lambda: cramer_rao_bound(G * [[1.0], [0.0], [1.0], [1.0]], S), r"parameters \[1\]"),
-        (lambda: cramer_rao_bound([G[0], G[1], -3.0 * G[0]], S), r"\[0, 2\]"),
-        (lambda: scene_derivatives(Quadratic((9.9, 10.1)), TOUCHED), r"force of touch 0 .*0\.2"),
-        (lambda: scene_derivatives(Quadratic(), DEEP), "give a force"),
-    ],
-)
-def test_what_cannot_be_bounded_is_refused(bound, match):
-    with pytest.raises(ConfigurationError, match=match):
-        bound()

@@ -1,14 +1,12 @@
 """Frames of known angles and touches, and calibration by them."""
 
 from contextlib import nullcontext
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from touched_dataset import touched_dataset
 
 from eitskin.datasets import State
-from eitskin.errors import ConfigurationError, DataError, FrameError
+from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Frame
 from eitskin.training import FrameLabel, Pipeline, TouchLabel
@@ -69,54 +67,6 @@ def test_frames_that_a_touch_is_compared_with(labels, levels, row, change, refer
     assert found.observations.dynamic_frames[row] == frames
     assert np.flatnonzero(found.has_touches).tolist() == [row]
     np.testing.assert_allclose(found.touches[row, 0], [0.05, 0.03, 8.0])
-
-
-def dataset():
-    """Frames idle, bent, and touched flat and bent, of one specimen."""
-    levels = np.array([0.0, 0.01, 0.03, 0.04])
-    before = np.full((4, 28), np.nan)
-    before[3] = FLAT * np.exp(0.01)
-    return touched_dataset(
-        FLAT * np.exp(levels[:, None]),
-        FLAT,
-        [[], [], [(0.05, 0.03)], [(0.05, 0.03)]],
-        touch_reference=before,
-        state=np.array([State.IDLE, State.BEND, State.TOUCH, State.TOUCH]),
-        bend_angle_deg=np.array([0.0, 20.0, 0.0, 20.0]),
-        protocol=PROTOCOL,
-    )
-
-
-def of_two():
-    data, numbers = dataset(), np.arange(2)
-    reference, specimen = np.tile(data.reference, (2, 1)), np.array([0, 0, 1, 1])
-    return replace(data, reference=reference, specimen=specimen, specimen_number=numbers)
-
-
-FAR = FrameLabel(0.0, (TouchLabel(75.0, 30.0),))
-
-
-@pytest.mark.parametrize(
-    ("make", "error", "message"),
-    [
-        (lambda: known([REST], [0, 0]), ConfigurationError, "1 labels and 2 frames"),
-        (lambda: known([BENT, BENT], [0, 0]), ConfigurationError, "record the flat sensor"),
-        (lambda: known([REST, FAR], [0, 0]), DataError, "places are in metres"),
-        (lambda: known([REST, BENT], [3.0, 3.1]), FrameError, "times those"),
-        (lambda: FrameLabel(float("inf")), DataError, "angle up to 360"),
-        (lambda: TouchLabel(0.1, 0.03, 0.0), DataError, "above 0 N"),
-        (lambda: TouchLabel(float("nan"), 0.03), DataError, "position"),
-        (lambda: KnownFrames.from_frames(of_two(), None, SPEC), ConfigurationError, "2 specimens"),
-        (
-            lambda: KnownFrames.from_frames(dataset(), [REST], SPEC),
-            ConfigurationError,
-            "no labels beside",
-        ),
-    ],
-)
-def test_what_cannot_be_known_is_refused(make, error, message):
-    with pytest.raises(error, match=message):
-        make()
 
 
 # Calibration by known angles

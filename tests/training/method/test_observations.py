@@ -13,7 +13,7 @@ from touched_dataset import touched_dataset
 
 from eitskin.datasets import Dataset, State
 from eitskin.datasets.store.schema import UNKNOWN_STATE
-from eitskin.errors import DataError, FrameError
+from eitskin.errors import FrameError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
 from eitskin.training import FoundTouches
@@ -27,7 +27,6 @@ from eitskin.training.method.stored_fields import (
 )
 from eitskin.training.method.targets import (
     Targets,
-    require_targets,
     with_implied_labels,
 )
 
@@ -102,9 +101,7 @@ def test_targets_are_what_frames_have_labels_for(data, targets, missing):
     assert targets.positions_only == (data.touch_count > 0).all()
 
 
-def test_states_and_angles_follow_from_labels_or_frames_are_refused():
-    with pytest.raises(DataError, match="3 idle, 0 touch"):
-        require_targets(frames([0, 0, 0]))
+def test_states_and_angles_follow_from_labels():
     data = with_implied_labels(frames([UNKNOWN] * 3, [0.0, 20.0, np.nan]))
     assert data.state.tolist() == [State.IDLE, State.BEND, UNKNOWN]
     data = with_implied_labels(frames([UNKNOWN, 0, UNKNOWN], touched=[0]))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from eitskin.errors import ConfigurationError, DataError
+from eitskin.errors import ConfigurationError
 from eitskin.threads import one_torch_thread
 from eitskin.training.method.network_training import Samples, train_network
 from eitskin.training.method.observations import MissingChannels
@@ -172,9 +172,6 @@ def test_settings_are_the_papers_and_touches_weighted_centroids_strongest_first(
     paper = whole.classifier
     assert (paper.learning_rate, paper.epochs, paper.batch, paper.noise) == (1e-5, 150, 64, 0)
     assert not any((paper.one_cycle, whole.bend_free_map, whole.compressed_maps))
-    for make in (lambda: NetworkSettings(0.0, epochs=1), lambda: TrainingSettings.preset("best")):
-        with pytest.raises(ConfigurationError):
-            make()
     touch_map = np.zeros((32, 80))
     touch_map[10:14, 20:24] = 0.8
     touch_map[20:24, 60:64] = [[0.5, 0.5, 1.0, 1.0]] * 4
@@ -212,10 +209,6 @@ def test_channels_weigh_by_noise_which_signal_to_noise_takes_off(jacobian):
     assert signal_to_noise(touch, 0.0) == MAX_SNR
     assert 0 < signal_to_noise(touch, 100.0) < 1
     assert Reconstruction.fit(jacobian, snr=np.inf, shape=SHAPE).regularisation > 0
-    with pytest.raises(ConfigurationError, match=r"128 columns.*got 120"):
-        Reconstruction.fit(jacobian[:, :120], snr=20.0, shape=SHAPE)
-    with pytest.raises(ConfigurationError, match="positive snr"):
-        Reconstruction.fit(jacobian, snr=-1.0, shape=SHAPE)
 
 
 # The bend angle: which channels it is learned from, how many, and from whom
@@ -256,14 +249,12 @@ def test_bend_angle_is_what_a_search_over_a_grid_finds(specimens, count):
     assert stage.intercept == pytest.approx(regression.intercept_, rel=1e-9)
 
 
-def test_bend_angle_survives_its_arrays_and_refuses_too_few():
+def test_bend_angle_survives_its_arrays():
     dV, angle = bends()
     stage = BendAngle.fit(dV, angle, np.zeros(len(angle)))
     again = BendAngle.from_arrays(stage.arrays())
     np.testing.assert_array_equal(again.apply(dV), stage.apply(dV))
     assert again.apply(dV[0]).shape == ()
-    with pytest.raises(DataError, match="at least 10 frames"):
-        BendAngle.fit(dV[:5], angle[:5], np.zeros(5))
 
 
 # The trainer of all networks: losses on training frames and on validation frames

@@ -20,10 +20,8 @@ from eitskin.training import (
     evaluate,
     open_pipeline,
 )
-from eitskin.training.pipeline import methods
 from eitskin.training.pipeline.methods import (
     MethodCodeError,
-    named_method,
 )
 
 from made_up_sensor import FLAT, frames
@@ -87,14 +85,6 @@ def test_a_saved_pipeline_keeps_name_options_and_arrays(pipeline, folder, datase
     loaded = open_pipeline(folder, Strongest)
     assert np.array_equal(loaded.method.known, pipeline.method.known)
     assert evaluate(loaded, dataset).touches == evaluate(pipeline, dataset).touches
-
-
-@pytest.mark.parametrize("kind", ["m:M;ls", "m\n:M", ":M", "m:"])
-def test_a_name_that_no_class_has_is_refused(kind):
-    with pytest.raises(DataError, match="MODULE:CLASS"):
-        methods.method_class(kind)
-    with pytest.raises(MethodCodeError, match=r"--method '\$\(id\)\.py:M' "):
-        methods.method_class("$(id):M")
 
 
 def test_code_that_is_not_named_or_is_another_is_refused(folder, monkeypatch):
@@ -177,26 +167,6 @@ WRONG = {
 def test_a_method_that_is_wrong_is_refused_when_it_is_fitted(dataset, members, message):
     with pytest.raises(MethodCodeError, match=message):
         Pipeline.fit(dataset, KEPT, method=faulty(**members))
-
-
-def test_code_that_is_no_method_is_told(tmp_path):
-    def code(text):
-        (tmp_path / "my.py").write_text(text)
-        return f"{tmp_path / 'my.py'}:Net"
-
-    for text, message in {
-        "class Other: pass": "no class 'Net'; it has Other",
-        "Net = 3": "derived from eitskin.training.Method, got 3",
-        "def Net(:": r"SyntaxError.*my\.py, line 1",
-        "\nimport not_there": r"ModuleNotFoundError.*line 2",
-        "from eitskin.training import Method\nclass Net(Method): pass": "lacks arrays, fit, fro",
-    }.items():
-        with pytest.raises(MethodCodeError, match=message):
-            named_method(code(text))
-    with pytest.raises(MethodCodeError, match="no file"):
-        named_method(str(tmp_path / "none.py:Net"))
-    with pytest.raises(MethodCodeError, match=r"FILE\.py:CLASS or an installed method \(none"):
-        named_method("Net")
 
 
 @pytest.mark.slow
