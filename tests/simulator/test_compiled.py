@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from eitskin import compiled
 from eitskin.compiled import kernel, kernels
 from eitskin.geometry import Bend, SensorDesign
+from eitskin.geometry.deformation.kinematics import pulled_back_entries
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Scene, Simulator, Touch
 
@@ -44,6 +45,20 @@ def test_deformations_are_those_of_plain_numpy(sim, scene) -> None:
     for evaluated in (layer.deformation.gradient, layer.deformation.positions):
         plain = evaluated(scattered)
         assert with_kernels(evaluated, scattered) == pytest.approx(plain, rel=1e-11, abs=1e-12)
+
+
+def test_the_pull_back_is_that_of_plain_numpy_and_counts_what_is_inside_out():
+    """A count sends the points to plain numpy: with that a wrong kernel would be slow alone."""
+    rng = np.random.default_rng(1)
+    F, shift = np.eye(3) + 0.2 * rng.standard_normal((2, 40, 3, 3))
+    F[:2] = np.diag([-1.0, 1.0, 1.0])
+    sigma, entries = rng.uniform(0.5, 2.0, 40), np.empty((40, 6))
+    pull_back = compiled.load_kernels(KERNELS).pull_back
+    assert pull_back(F.reshape(-1, 9), np.empty((0, 9)), sigma, entries) == 2
+    assert entries[2:] == pytest.approx(sigma[2:, None] * pulled_back_entries(F[2:]), rel=1e-12)
+    assert pull_back(F[2:].reshape(-1, 9), shift[2:].reshape(-1, 9), sigma[2:], entries[2:]) == 0
+    expected = sigma[2:, None] * pulled_back_entries(F[2:] @ shift[2:])
+    assert entries[2:] == pytest.approx(expected, rel=1e-12)
 
 
 def test_frames_and_scenes_in_single_precision_are_those_of_plain_numpy(sim, monkeypatch):

@@ -150,6 +150,30 @@ def test_forces_beyond_the_table_are_refused(table, wrong) -> None:
             find(wrong)
 
 
+def test_tables_of_a_new_stack_are_its_presses(tmp_path, monkeypatch):
+    """A thicker and stiffer stack than tables are solved for: all is scaled there and back."""
+    monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
+    monkeypatch.setattr(solution_store, "LIBRARY", tmp_path / "nothing ships")
+    monkeypatch.setattr(tables, "_CELL", 0.2)
+    monkeypatch.setattr(tables, "_MAX_DEPTH", 0.15)
+    monkeypatch.setattr(tables, "_DEPTHS", 4)
+    thick = dataclasses.replace(DESIGN, thickness=0.006)
+    stack = Mechanics(NeoHookean(50e3), NeoHookean(60e3)).stack(thick)
+    new = load_press_table(stack, Cylinder())
+    press = AxisymmetricPress(stack, Cylinder(), finest=0.2 * Cylinder().rims[1])
+    for depth in new.depths[1:3]:
+        pressed = press.to_depth(depth)
+        dent = new.dent_from_depth(depth)
+        assert dent.force == pytest.approx(pressed.force, rel=1e-3)
+        bottom, top = stack.levels[1:3]
+        in_gel = (pressed.z > bottom - 1e-9) & (pressed.z < top + 1e-9)
+        r, z = np.meshgrid(pressed.r, pressed.z[in_gel] - bottom, indexing="ij")
+        near = r < dent.reach
+        solved = pressed.displacement[:, in_gel][near]
+        u = moved(dent, r[near], z[near])[:2].T
+        assert u == pytest.approx(solved, abs=0.02 * np.abs(solved).max())
+
+
 # Where they are kept
 
 

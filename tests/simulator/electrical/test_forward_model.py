@@ -13,6 +13,7 @@ from eitskin.geometry.design.outline import Disc
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.mesh_design import Grading
 from eitskin.simulator import ForwardModel, Protocol
+from eitskin.simulator.electrical.elements import ExtrudedElement
 
 from contacts import with_contacts
 
@@ -254,3 +255,16 @@ def test_a_model_that_is_too_large_names_the_resolution_that_fits(monkeypatch) -
     monkeypatch.setattr("eitskin.simulator.electrical.function_space.MAX_MEMORY", 2e8)
     with pytest.raises(ConfigurationError, match="'fast' fits"):
         ForwardModel(SensorDesign.reference(), "standard")
+
+
+@pytest.mark.parametrize("base", ["quadrilateral", "triangle"])
+def test_an_indicator_is_one_between_its_heights_and_falls_to_zero_at_the_next(base):
+    """It lifts the potential of an electrode that covers a part of the height."""
+    element = ExtrudedElement(base, (2, 2, 1), (0.0, 0.001, 0.002, 0.003, 0.005), condensed=False)
+    across, up = np.full(9, 0.3), np.linspace(0.0, 0.005, 9)
+    values = element.values(np.stack([across, across, up]))
+    for low, high in ((0.001, 0.002), (0.0, 0.001), (0.003, 0.005), (0.0, 0.005)):
+        wanted = np.isclose(np.array(element.heights), np.clip(element.heights, low, high))
+        found = element.indicator(low, high) @ values
+        expected = np.interp(up, element.heights, wanted.astype(float))
+        assert found == pytest.approx(expected, abs=1e-12)
