@@ -9,10 +9,9 @@ from scipy.io import savemat
 
 from eitskin.datasets import Recording, RecordingForm, RecordingNames, State, read_recording
 from eitskin.datasets.recordings import recorded_file
-from eitskin.datasets.recordings.labels import Place
 from eitskin.datasets.recordings.orders import in_order
 from eitskin.datasets.recordings.source import open_reader
-from eitskin.errors import ConfigurationError, DataError
+from eitskin.errors import DataError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import ForwardModel, Protocol, Status
 
@@ -242,46 +241,9 @@ def test_lost_values_are_refused_marked_or_dropped(tmp_path):
     assert np.argwhere(marked.status == Status.NOT_FINITE).tolist() == [[1, 1], [2, 0]]
 
 
-@pytest.mark.parametrize(
-    ("lines", "names", "error", "message"),
-    [
-        (["v0,v1,v3", "1,2,3"], {}, DataError, "after v1 comes v3"),
-        (["v0,v1", "0x1F,2"], {}, DataError, "v0: .* hexadecimal"),
-        (["0x1F,0x2A", "0x1F,0x2B"], {}, DataError, "hexadecimal"),
-        (["90,91,92,93", "1,-2,1,-1", "-1,2,2,1"], {}, DataError, "with --differences"),
-        (["0,1,2,4", "1,0,4,5", "2,4,0,6", "4,5,6,0"], {}, DataError, "--protocol pairwise:4"),
-        (["1,2", "3,4"], {"values": "v"}, ConfigurationError, "holds c .*no header"),
-        (["v0,v0", "3,4"], {}, DataError, "'v0' more than once"),
-        (["Volt0,Volt1", "3,4"], {"values": "volt"}, ConfigurationError, "did you mean 'Volt'"),
-        (["v0,F", "3,4"], {"columns": {"forse": "F"}}, ConfigurationError, "mean 'force'"),
-        (["v0,F", "3,4"], {"columns": {"force": "G"}}, ConfigurationError, "holds v, F"),
-        (["v0,F", "3,4"], {"columns": {"force": "F:2"}}, DataError, "1 columns"),
-        (["v0,F", "3,4000"], {"columns": {"force": "F"}}, DataError, "grams"),
-        (["v0,t", "3,"], {}, DataError, "'t' must be finite"),
-        (["v0,specimen", "3,a", "4,"], {}, DataError, "empty cell"),
-        (["v0,x,y,r", "3,.1,.1,20"], {"columns": {"radius": "r"}}, DataError, "--length-unit"),
-    ],
-)
-def test_files_that_do_not_fit_their_names_are_refused(tmp_path, lines, names, error, message):
-    (tmp_path / "a.csv").write_text("\n".join(lines))
-    with pytest.raises(error, match=message):
-        read_recording(tmp_path / "a.csv", RecordingNames(**names))
-
-
-def test_columns_of_text_are_names_and_factors_and_frequencies_possible_numbers(tmp_path):
-    """A line that is no row, and a number of 5,000 digits: neither is a fault of the reader."""
+def test_a_column_may_be_called_a_number_of_5000_digits(tmp_path):
     (tmp_path / "a.csv").write_text(f"v{'9' * 5000},w\n1,2\n")
     assert read_recording(tmp_path / "a.csv", RecordingNames("w")).impedance.shape == (1, 1)
-    (tmp_path / "b.csv").write_text('""\n')
-    with pytest.raises(DataError, match="got no row"):
-        open_reader(tmp_path / "b.csv")
-    (tmp_path / "a.csv").write_text("v0,v1,x\n1,2,3\n")
-    for frequency in (0.0, -1.0, float("nan"), float("inf"), 1e300):
-        with pytest.raises(ConfigurationError, match="frequency must be"):
-            read_recording(tmp_path / "a.csv", RecordingNames("v"), frequency=frequency)
-    for factor in ("0", "-0.0", "1e-400", "1e400"):
-        with pytest.raises(ConfigurationError, match="place of a label"):
-            Place.from_text(f"x*{factor}")
 
 
 # Tables in the forms that loggers and boards write them
@@ -296,14 +258,6 @@ def test_rows_of_names_are_given_and_driven_readings_are_no_labels(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("w0,w1,w2,w3\nof,two,volt,meters\n" + NAMED + LINES)
     assert np.array_equal(read_recording(path, RecordingNames(header_row=3)).impedance, CELLS)
-    with pytest.raises(DataError, match="--header-row"):
-        read_recording(path, RecordingNames(header_row=7))
-    path.write_text(NAMED.replace("v", "ch") + LINES)
-    with pytest.raises(ConfigurationError, match="--values ch"):
-        read_recording(path)
-    path.write_text(NAMED + "1,2,3\n")
-    with pytest.raises(DataError, match="'1,2,3'"):
-        read_recording(path)
     (tmp_path / "a.csv").write_text((",".join(["1.5"] * 256) + "\n") * 2)
     with pytest.raises(DataError, match=r"adjacent:16\+driven"):
         read_recording(tmp_path / "a.csv", protocol=Protocol.adjacent(16))
@@ -359,10 +313,6 @@ def test_parts_of_other_names_are_given(tmp_path):
     form = RecordingForm(phase_unit="rad")
     polar = read_recording(tmp_path / "a.npz", RecordingNames("u,phi"), form=form)
     assert np.allclose(polar.impedance, COMPLEX.real * np.exp(1j * COMPLEX.imag))
-    with pytest.raises(DataError, match="--phase-unit"):
-        read_recording(tmp_path / "a.npz", RecordingNames("u,phi"))
-    with pytest.raises(ConfigurationError, match=r"magnitude,phase or real,imag"):
-        read_recording(tmp_path / "a.npz", RecordingNames("u,w"))
 
 
 # Orders of the readings of a frame, by reciprocity and sums around loops

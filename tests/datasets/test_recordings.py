@@ -21,7 +21,7 @@ from eitskin.datasets import (
     open_dataset,
     read_recording,
 )
-from eitskin.errors import ConfigurationError, DataError
+from eitskin.errors import DataError
 from eitskin.simulator import Protocol
 
 DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -69,56 +69,6 @@ def test_csv_with_everything(tmp_path):
     assert np.isnan(data.touch_x[:, 1:]).all()
     assert data.time.tolist() == [0.0, 0.5, 1.0]
     assert data.frame(1).protocol == Protocol.pairwise(3)
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "message"),
-    [
-        ("a.csv", "v0,v1\n", r"header.*row"),
-        ("a.csv", "v0,v1\n1\n", r"row 2.*2 cells.*1"),
-        ("a.csv", "v0,v1\n1,x\n", r"row 2, column v1: .*'x'"),
-        ("a.csv", "v0,state\n1,sleep\n", r"'state'.*got 'sleep'$"),
-        ("a.csv", f"v0,state\n1,{'z' * 9000}\n", r"'state'.{,120}z{90,} \.\.\.$"),
-        ("a.csv", "v0,force\n1,much\n", "'force'"),
-        ("a.csv", "v0,x\n1,0.1\n", r"touch_x.*touch_y"),
-        ("a.txt", "nothing\n", "header and at least one row"),
-        ("a.txt", "magnitudes : 1, 2\nmagnitudes : 1\n", "row 2: expected 2 cells, got 1"),
-        ("a.mat", "MATLAB? no\n", "not a MATLAB file"),
-        ("a.npz", "numpy? no\n", r"\.npz"),
-    ],
-)
-@pytest.mark.usefixtures("reads_here")
-def test_broken_files_are_refused(tmp_path, name, text, message):
-    with pytest.raises(DataError, match=message):
-        read_recording(write(tmp_path, name, text))
-
-
-BOTH = {"down": PRESSED, "up": PRESSED + 1.0}
-OBJECTS = np.array([{"a": 1}], dtype=object)  # pickled, so never loaded
-
-
-@pytest.mark.parametrize(
-    ("tables", "names", "error", "message"),
-    [
-        ({"v": OBJECTS}, ("v",), DataError, "plain arrays"),
-        (BOTH, None, ConfigurationError, "holds down, up"),
-        (BOTH, ("dwon",), ConfigurationError, "holds down, up"),
-        (BOTH, ("down", "up", "places"), ConfigurationError, "positions"),
-        ({"v": PRESSED, "r": PRESSED[:2]}, ("v", "r"), DataError, "shape"),
-        ({"v": PRESSED, "t": np.arange(2)}, ("v",), DataError, r"'t'.*3 frames"),
-        ({"v": PRESSED, "p": PRESSED[:2, :2]}, ("v", None, "p"), DataError, r"'p'.*3 frames"),
-        ({"v": PRESSED, "p": PRESSED[:, :2]}, ("v", None, "p"), DataError, r"positions.*metres"),
-    ],
-)
-@pytest.mark.usefixtures("reads_here")
-def test_tables_that_do_not_fit_are_refused(tmp_path, tables, names, error, message):
-    np.savez(tmp_path / "a.npz", **tables)
-    with pytest.raises(error, match=message):
-        read_recording(tmp_path / "a.npz", names and RecordingNames(*names))
-    with pytest.raises(ConfigurationError, match=r"\.csv.*\.mat, \.npz.*\.txt"):
-        read_recording(tmp_path / "a.xls")
-    with pytest.raises(DataError, match="no file"):
-        read_recording(tmp_path / "b.npz")
 
 
 # Real recordings

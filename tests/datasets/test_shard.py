@@ -307,6 +307,13 @@ def test_shards_from_elsewhere_are_read_in_a_child_once(tmp_path, monkeypatch):
 # Manifests: what does not fit, rubbish, and every bit that flips
 
 
+@pytest.fixture(scope="module")
+def whole_set(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("whole") / "set"
+    save_dataset(make(), folder)
+    return folder
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -324,12 +331,15 @@ def test_shards_from_elsewhere_are_read_in_a_child_once(tmp_path, monkeypatch):
         ),
     ],
 )
-def test_manifests_that_do_not_fit_are_refused(tmp_path, change, message):
-    save_dataset(make(), tmp_path / "set")
-    path = tmp_path / "set" / "manifest.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | change))
-    with pytest.raises(DataError, match=message):
-        open_dataset(tmp_path / "set")
+def test_manifests_that_do_not_fit_are_refused(whole_set, change, message):
+    path = whole_set / "manifest.json"
+    text = path.read_text()
+    path.write_text(json.dumps(json.loads(text) | change))
+    try:
+        with pytest.raises(DataError, match=message):
+            open_dataset(whole_set)
+    finally:
+        path.write_text(text)
 
 
 # Looking through datasets for damage
