@@ -33,7 +33,9 @@ class FakePipeline:
 
     def __init__(self, estimate=None, interrupt_at=None):
         self.estimate, self.interrupt_at = estimate or Estimate(), interrupt_at
-        self.layout = SimpleNamespace(known_design=None, require_same_measurements=lambda *_: None)
+        self.layout = SimpleNamespace(
+            known_design=None, known_protocol=None, require_same_measurements=lambda *_: None
+        )
         self.seen = []
 
     def process(self, frame):

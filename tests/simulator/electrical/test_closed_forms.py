@@ -286,7 +286,7 @@ def model(design, order, grading, kind) -> ForwardModel:
     """The forward model on boxes cut up, so that halving them halves every cell."""
     with pytest.MonkeyPatch.context() as patch:
         if kind != "hexahedra":
-            patch.setattr(forward, "mesh_design", lambda *_: split(design, grading, kind))
+            patch.setattr(forward, "stored_mesh", lambda *_: split(design, grading, kind))
         return ForwardModel(design, (order, grading))
 
 
