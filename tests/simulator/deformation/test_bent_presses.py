@@ -131,7 +131,8 @@ def test_the_bent_layer_is_the_bend_away_from_touches_with_gradients_of_its_posi
     assert layer.gradient(points) == pytest.approx(np.stack(slopes, axis=-1), abs=2e-4)
 
 
-def test_bends_are_in_equilibrium_and_frames_turn_stresses_with_their_forces():
+@pytest.mark.slow
+def test_bends_are_in_equilibrium():
     """Its gradient and pressure leave no force on the free nodes of its own mesh."""
     design = dataclasses.replace(DESIGN, support=Plates())
     bent = bend_table.equilibrium(design, Clamp(), MECHANICS, Bend(5.0))
@@ -147,6 +148,9 @@ def test_bends_are_in_equilibrium_and_frames_turn_stresses_with_their_forces():
     on_plate = (z < -0.0059) & (x > 0.0199)
     free = ~on_plate & (x > 1e-9) & (y > 1e-9)
     assert np.abs(nodal[free]).max() < 1e-4 * np.abs(nodal[on_plate]).max()
+
+
+def test_frames_turn_stresses_with_their_forces():
     F = TURN @ np.diag([1.2, 0.9, 0.8])
     frame = ContactFrame.from_bent_top(Homogeneous(F), X, Y, STACK)
     assert frame.rotation == pytest.approx(TURN, abs=1e-12)
