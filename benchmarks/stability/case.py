@@ -17,7 +17,7 @@ from eitskin.geometry import ConfigurationError
 Outcome = Literal["ok", "refused", "left out", "wrong"]
 QUANTITIES = ("residual", "invariant", "error")
 
-_PATIENCE = 300.0  # s: what takes longer counts as a hang
+_PATIENCE = 900.0  # s: what takes longer counts as a hang
 
 
 @dataclass(frozen=True, slots=True)

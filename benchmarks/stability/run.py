@@ -10,8 +10,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, get_args
 
 from eitskin.benchmarks.results import Report, ReportTable, Watch, make_results
-from eitskin.benchmarks.stability import bends, electrical, solids
+from eitskin.benchmarks.stability import bends, electrical, extremes, solids
 from eitskin.benchmarks.stability.case import QUANTITIES, Case, Outcome, judge
+from eitskin.benchmarks.stability.ordinary_designs import ordinary_designs
 from eitskin.benchmarks.stability.random_designs import random_designs
 from eitskin.threads import one_thread
 
@@ -27,11 +28,13 @@ def cases(seed: int, quick: bool) -> dict[str, Iterable[Case]]:
         "incompressible": solids.incompressible(quick),
         "presses": solids.presses(quick),
         "whole stacks": solids.stacks(quick),
+        "extreme presses": extremes.extremes(quick),
         "conductivity contrast": electrical.contrasts(ratios),
         "contact impedance": electrical.contacts(),
         "electrodes": electrical.electrodes(quick),
         "thin layers": electrical.layers((1e-6, 1.0, 1e6), shares),
         "cells": electrical.cells(quick),
+        "ordinary designs": ordinary_designs(quick),
         "random designs": random_designs(seed, 20 if quick else 300),
     }
 

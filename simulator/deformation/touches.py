@@ -49,6 +49,10 @@ Indices = NDArray[np.int64]
 _MIN_EDGE_DISTANCE, _MIN_TOUCH_SPACING = 0.005, 0.020
 # Depth over the thickness of the stack, to which presses were compared.
 _MAX_RELATIVE_DEPTH = 0.55
+# Ratios of cover to gel, in thickness and in shear modulus, and radii of indenters [m] to which
+# presses were compared. On a cover of 0.3 mm they are 5 % off a finer solution.
+_MIN_COVER, _MODULI, _MIN_RADIUS = 1.0 / 3.0, (1.0 / 3.0, 3.0), 0.003
+_ALIKE = 1e-6  # relative difference of values that count as equal
 # Extent over the width of a footprint whose edges cross the mesh: one of 2.7 came 6 % deeper turned
 # by 30 degrees than straight.
 _MAX_SLENDERNESS = 1.5
@@ -337,6 +341,7 @@ def pressed_touches(
         neighbour = neighbour_distance(touch, touches)
         depth = each.depth + sunk
         cautions = _cautions(touch, edge, neighbour, depth, design)
+        cautions += uncompared_properties(touch.indenter, sensor)
         reach = _CORNER_RADII * touch.indenter.rims[1]
         error = _IN_CORNER if corner_distance(outline, touch.x, touch.y) < reach else flat
         if bent_after:
@@ -393,6 +398,22 @@ def _cautions(
         reasons.append(f"{1e3 * neighbour:.1f} mm from another touch, closer than was measured")
     if depth > _MAX_RELATIVE_DEPTH * thickness:
         reasons.append(f"{1e3 * depth:.1f} mm deep, deeper than was measured")
+    return reasons
+
+
+def uncompared_properties(indenter: AnyIndenter, sensor: PressedSensor) -> list[str]:
+    """Properties of a stack and an indenter beyond those whose signals were compared, in words."""
+    design, mechanics = sensor.design, sensor.mechanics
+    reasons = []
+    cover = 0.5 * (design.encapsulated_thickness - design.thickness) / design.thickness
+    if cover < _MIN_COVER * (1.0 - _ALIKE):
+        reasons.append(f"a cover of {cover:.2g} times the gel's thickness, thinner than measured")
+    moduli = mechanics.encapsulation.shear_modulus / mechanics.gel.shear_modulus
+    low, high = _MODULI
+    if cover > 0.0 and not low * (1.0 - _ALIKE) <= moduli <= high * (1.0 + _ALIKE):
+        reasons.append(f"a cover {moduli:.3g} times as stiff as the gel, which was not measured")
+    if (radius := indenter.rims[1]) < _MIN_RADIUS * (1.0 - _ALIKE):
+        reasons.append(f"an indenter of {1e3 * radius:.2g} mm radius, smaller than measured")
     return reasons
 
 

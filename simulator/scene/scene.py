@@ -110,7 +110,8 @@ class PressedTouch:
         neighbour_distance: distance from the axis to that of the nearest other touch [m].
         signal_error: largest error of the signal, relative, that comparisons with the full model
             found at such distances (docs/results/simulator.md); None at smaller distances or larger
-            depths than any comparison, next to re-entrant corners, on other outlines than
+            depths than any comparison, with thinner covers, other ratios of moduli or smaller
+            indenters than any, next to re-entrant corners, on other outlines than
             rectangles and polygons, and on a sensor that is bent, rolled or twisted after it is
             pressed.
         caution: why the dent is less exact than a single one in the middle of the sensor; empty

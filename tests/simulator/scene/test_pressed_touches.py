@@ -32,8 +32,9 @@ from eitskin.simulator import (
 )
 from eitskin.simulator.deformation import pressed_sensor
 from eitskin.simulator.deformation.pressed_sensor import PressedSensor
-from eitskin.simulator.deformation.touches import pressed_touches
+from eitskin.simulator.deformation.touches import pressed_touches, uncompared_properties
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
+from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.scene.indenters import ScannedIndenter
 
 DESIGN = SensorDesign.reference()
@@ -290,3 +291,24 @@ def test_indenters_keep_apart_by_their_shapes_and_scanned_balls_are_spheres(tmp_
 
 
 # Files
+
+
+@pytest.mark.parametrize(
+    ("thickness", "factor", "indenter", "words"),
+    [
+        (0.0056, 1.4, Cylinder(), "a cover of 0.06"),
+        (0.012, 100.0, Cylinder(), "100 times as stiff"),
+        (0.012, 0.01, Cylinder(), "0.01 times as stiff"),
+        (0.012, 1.4, Sphere(0.001), "1 mm radius"),
+        (0.012, 3.0, Sphere(0.003), ""),
+    ],
+)
+def test_no_error_is_stated_for_stacks_and_indenters_beyond_those_compared(
+    thickness, factor, indenter, words
+):
+    design = dataclasses.replace(DESIGN, encapsulated_thickness=thickness)
+    around = NeoHookean(factor * Mechanics().gel.shear_modulus)
+    sensor = PressedSensor(design, Mechanics(encapsulation=around))
+    found = uncompared_properties(indenter, sensor)
+    assert len(found) == bool(words)
+    assert words in "".join(found)
