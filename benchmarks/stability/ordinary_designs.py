@@ -47,7 +47,7 @@ def _designs() -> dict[str, SensorDesign]:
 
 
 def ordinary_designs(quick: bool) -> Iterator[Case]:
-    """Cases of designs of which each must fit the memory, or be told which resolution does."""
+    """Cases of designs that fit the memory, or are refused with a resolution that does."""
     designs = _designs()
     for name in ("disc",) if quick else designs:
         # A process of its own: a system remembers the most that one used.

@@ -15,13 +15,13 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
 Indices = NDArray[np.int64]
 MAX_MEMORY = 8e9  # [byte]
-# Bytes per number of each part, fitted to peaks of six models of 4,000 to 54,000 unknowns, of all
-# three kinds of cells. Misfits are up to 1.5; the one of tetrahedra is 2.2 too low, which has the
-# mesher's own memory in its peak.
-_PER_ENTRY = 150.0  # of the element matrices: values, rows, columns, and copies to sort
-_PER_PRODUCT = 200.0  # of the reference matrix, at each quadrature point of an element
+# Bytes per number of each part, fitted to peaks of nine models of columns of cells, of 21,000 to
+# 80,000 unknowns (misfits up to 1.4), and of one of tetrahedra.
+_PER_ENTRY = 80.0  # of the element matrices: values, rows, columns, and copies to sort
+_PER_ENTRY_OF_TETRAHEDRA = 150.0
+_PER_PRODUCT = 110.0  # of the reference matrix, at each quadrature point of an element
 _PER_POINT = 300.0  # deformation gradients and tensors
-_PER_FACTOR = 24.0  # numbers of both factors, and their rows
+_PER_FACTOR = 7.5  # numbers of both factors, and their rows
 
 
 class Fields(NamedTuple):
@@ -208,18 +208,18 @@ def estimated_memory(space: FunctionSpace) -> float:
 
     The factors of n unknowns with b unknowns in each column of cells have about
     1.25 n b log2(n / b) entries, as those of a plane mesh (nested dissection, George 1973), and
-    2.7 n^(4/3) entries for tetrahedra, as those of a body.
+    8.6 n^(4/3) entries for tetrahedra, as those of a body.
     """
     elements, outer = space.numbers.shape
     functions, n = outer + space.element.inner, float(space.unknowns)
     in_element = len(space.rule.weights)
     if isinstance(space.element, ExtrudedElement):
-        across = n / elements
+        across, per_entry = n / elements, _PER_ENTRY
         factors = 1.25 * n * across * max(1.0, math.log2(n / across))
     else:
-        factors = 2.7 * n ** (4.0 / 3.0)
+        factors, per_entry = 8.6 * n ** (4.0 / 3.0), _PER_ENTRY_OF_TETRAHEDRA
     needed: float = (
-        _PER_ENTRY * elements * math.comb(outer + 1, 2)
+        per_entry * elements * math.comb(outer + 1, 2)
         + _PER_PRODUCT * math.comb(functions + 1, 2) * in_element
         + _PER_POINT * elements * in_element
         + _PER_FACTOR * factors
