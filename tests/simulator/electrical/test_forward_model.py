@@ -252,7 +252,7 @@ def test_contact_sensitivity_agrees_with_central_differences(z) -> None:
 
 
 def test_a_model_that_is_too_large_names_the_resolution_that_fits(monkeypatch) -> None:
-    monkeypatch.setattr("eitskin.simulator.electrical.function_space.MAX_MEMORY", 2e8)
+    monkeypatch.setattr("eitskin.simulator.electrical.function_space.MAX_MEMORY", 5e7)
     with pytest.raises(ConfigurationError, match="'fast' fits"):
         ForwardModel(SensorDesign.reference(), "standard")
 
