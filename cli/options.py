@@ -259,7 +259,7 @@ def opened_board(
     """
     given: dict[str, Any] = {}
     if uri.startswith(VIRTUAL):
-        given = {} if "seed=" in uri else {"seed": seed}
+        given |= {} if "seed=" in uri else {"seed": seed}
         is_described = "sensor=" in uri or "protocol=" in uri
         if layout is not None and layout.known_design is not None and not is_described:
             given |= {"sensor": layout.known_design, "protocol": layout.known_protocol}

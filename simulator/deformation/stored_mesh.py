@@ -1,4 +1,4 @@
-"""Meshes of a design; those of tetrahedra, which come out different each time, are kept."""
+"""Meshes of a design; those of tetrahedra, which come out different each time, are stored."""
 
 import hashlib
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design, natural_
 from eitskin.simulator.deformation.solution_store import Arrays, Problem, load_or_solve
 
 _VERSION = 1  # raise it whenever tetrahedra are meshed in another way
-_EDGE_SPACING = 1e-4  # of points by which electrodes are told apart [m]
+_EDGE_SPACING = 1e-4  # of points by which electrodes are distinguished [m]
 
 
 def stored_mesh(

@@ -98,7 +98,7 @@ class BendCurve(StoredFields):
         return covariance.reshape(channels, channels)
 
     def uncertainties(self, angle_deg: Array) -> Array:
-        """`uncertainty` of B at angles (n,) [deg], (n, K, K); kept, as the same ones are asked."""
+        """`uncertainty` of B at angles (n,) [deg], (n, K, K); stored for angles that come again."""
         if (key := angle_deg.tobytes()) not in self._spreads:
             random, channels = self.effects.shape
             weights = _powers(angle_deg[:, None] / SCALE, random)
