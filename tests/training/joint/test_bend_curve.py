@@ -134,9 +134,9 @@ def test_stated_error_is_that_of_many_frames(curve, rng):
         change[::2, 4] = np.nan
         said = np.array([estimated(curve, frame) for frame in change])
         z = (said[:, 0] - angle) / said[:, 1]
-        assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.15)
+        assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.02)
         whole = angle_standard_error(curve, angle, NOISE)
-        assert whole == pytest.approx(np.median(said[1::2, 1]), rel=0.0025)
+        assert whole == pytest.approx(np.median(said[1::2, 1]), rel=0.0015)
 
 
 # Learning from many specimens
