@@ -104,7 +104,9 @@ def test_a_bent_frame_tells_whether_its_sensor_bends_as_usual(everywhere, usual,
     unseen = frames(1, 0, seed=7) if alike else frames(0, 1, seed=8)
     none = possible_faults(Protocol.pairwise(4), np.ones(CHANNELS))
     both = SpecimenModel(np.zeros(0), None, everywhere.predict(()), none, usual=usual.predict(()))
-    alone = SpecimenModel(np.zeros(0), None, everywhere.predict(()), none)
+    alone, only = (
+        SpecimenModel(np.zeros(0), None, prior.predict(()), none) for prior in (everywhere, usual)
+    )
     for change, angle in list(zip(unseen.change, ANGLES, strict=True))[3:]:
         combined = COMBINATIONS.combine(change, 1.0, 0.0)
         found, before = both.angle(combined), alone.angle(combined)
@@ -112,6 +114,11 @@ def test_a_bent_frame_tells_whether_its_sensor_bends_as_usual(everywhere, usual,
         if alike:
             assert abs(found.angle_deg - angle) < 2.6 * found.deviation_deg
             assert found.deviation_deg < 0.98 * before.deviation_deg
+            mean = np.average(
+                [only.angle(combined).angle_deg, before.angle_deg],
+                weights=[found.usual, 1.0 - found.usual],
+            )
+            assert found.angle_deg == pytest.approx(mean, abs=1e-6)
         else:
             assert found.angle_deg == pytest.approx(before.angle_deg, abs=1e-6)
             assert found.deviation_deg == pytest.approx(before.deviation_deg, rel=1e-6)
