@@ -31,7 +31,7 @@ def clamps_of(count, seed=1):
     return np.column_stack([span, offset, 1.0 + np.arange(count) % 2, np.exp(stiffness)])
 
 
-def bent(clamps, each=6, seed=2, feature=0.3):
+def bent(clamps, each=3, seed=2, feature=0.3):
     """Bent frames of `each` specimens in every clamp, with one feature that scales the curve."""
     rng = np.random.default_rng(seed)
     made = np.repeat(clamps, each, axis=0)
@@ -63,22 +63,19 @@ def rms(values):
     return np.sqrt(np.mean(np.square(values)))
 
 
-def test_curves_of_clamps_are_those_of_specimens_or_of_the_formula_and_unknown_left_alone(
-    monkeypatch,
-):
+def test_curves_of_clamps_are_those_of_their_specimens_and_unknown_ones_left_alone():
     made = clamps_of(40)
-    found = learned(bent(made))
-    own = at_40(found.own)[::6]
-    assert found.known.all()
-    assert rms(own - expected(made)) < 0.05 * rms(expected(made) - expected(made).mean(0))
     frames = bent(made)
     unknown = frames.specimen % 3 == 0
     frames = dataclasses.replace(frames, clamp=np.where(unknown[:, None], np.nan, frames.clamp))
     found = learned(frames)
-    assert np.array_equal(found.known, np.arange(240) % 3 != 0)
+    assert np.array_equal(found.known, np.arange(120) % 3 != 0)
     assert not found.own[~found.known].any()
     scatter = rms(expected(made) - expected(made).mean(axis=0))
-    assert rms(at_40(found.own)[1::6] - expected(made)) < 0.05 * scatter
+    assert rms(at_40(found.own)[1::3] - expected(made)) < 0.05 * scatter
+
+
+def test_curves_of_drawn_clamps_are_those_of_the_formula(monkeypatch):
     ends = np.array([[0.025, 0.004, 1.0, 0.7], [0.060, 0.014, 2.0, 2.8]])
     learned_from = np.concatenate([ends, clamps_of(60)])
     others = clamps_of(30, seed=9)
