@@ -150,15 +150,7 @@ BOTH = Protocol(
 
 @pytest.fixture(scope="module")
 def skin():
-    """Impedance matrix of a random network of six electrodes [ohm]."""
-    rng = np.random.default_rng(1)
-    Y = np.zeros((6, 6))
-    for i in range(6):
-        for j in range(i):
-            g = rng.uniform(1e-3, 5e-3)
-            Y[[i, j], [i, j]] += g
-            Y[[i, j], [j, i]] -= g
-    return np.linalg.pinv(Y)
+    return random_network()
 
 
 def flat_frames(meter, skin, noise=0.0, seed=0, count=40):

@@ -249,14 +249,6 @@ def test_bend_angle_is_what_a_search_over_a_grid_finds(specimens, count):
     assert stage.intercept == pytest.approx(regression.intercept_, rel=1e-9)
 
 
-def test_bend_angle_survives_its_arrays():
-    dV, angle = bends()
-    stage = BendAngle.fit(dV, angle, np.zeros(len(angle)))
-    again = BendAngle.from_arrays(stage.arrays())
-    np.testing.assert_array_equal(again.apply(dV), stage.apply(dV))
-    assert again.apply(dV[0]).shape == ()
-
-
 # The trainer of all networks: losses on training frames and on validation frames
 
 INPUTS = np.random.default_rng(0).normal(size=(40, 3)).astype(np.float32)

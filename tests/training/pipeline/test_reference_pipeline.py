@@ -9,7 +9,7 @@ import pytest
 from eitskin.datasets import State
 from eitskin.errors import DataError, FrameError
 from eitskin.geometry import Bend, Clamp, SensorDesign
-from eitskin.simulator import Instrument, Scene, Simulator, Touch
+from eitskin.simulator import Frame, Instrument, Protocol, Scene, Simulator, Touch
 from eitskin.training import FrameLabel, Pipeline, TouchLabel
 
 DESIGN = SensorDesign.reference()
@@ -18,7 +18,7 @@ ANGLES = (-20.0, 0.0, 15.0, 30.0, 50.0)
 
 @pytest.fixture(scope="module")
 def simulator():
-    return Simulator(DESIGN, "fast")
+    return Simulator(DESIGN, "coarse")
 
 
 class Session:
@@ -31,7 +31,8 @@ class Session:
     def frame(self, scene, **changes):
         frame = self.simulator.measure(scene, Instrument(), self.rng)
         self.number += 1
-        return replace(frame, time=0.3 * self.number, number=self.number, **changes)
+        counted = {"time": 0.3 * self.number, "number": self.number}
+        return replace(frame, **counted | changes)
 
     def __call__(self, scene, **changes):
         return self.pipeline.process(self.frame(scene, **changes))
@@ -77,6 +78,37 @@ def test_a_bend_beyond_those_learned_is_reported(session, angle_deg, outside):
     for share in (0.3, 0.6, 1.0, 1.0):
         said = session(Scene(Bend(share * angle_deg)))
     assert any("-20 to 50 deg" in problem for problem in said.problems) == outside
+
+
+@pytest.mark.parametrize("change", [{"session": 1}, {"number": 0, "time": 0.0}])
+def test_a_new_session_begins_with_new_references_and_is_told(session, change):
+    assert session(Scene(Bend(30.0))).state is State.BEND
+    assert "the clock ran back" in session(Scene(Bend(30.0)), time=0.0).problems[0]
+    assert session(Scene(Bend(30.0))).state is State.BEND  # the references stay
+    again = session(Scene(Bend(30.0)), **change)
+    assert "a new session begins" in again.problems[0]
+    assert again.state is None  # it does not look flat
+    assert session(Scene(), session=2).bend_angle_deg == pytest.approx(0.0, abs=1.0)
+
+
+PAIRS = Protocol.pairwise(8)
+SWAPPED = Protocol((PAIRS.table[1], PAIRS.table[0], *PAIRS.table[2:]), 8)
+REFUSED = {
+    "table": (lambda flat: Frame(flat, SWAPPED), "a table for 8 electrodes"),
+    "electrodes": (lambda flat: Frame(flat, Protocol(PAIRS.table, 16)), r"pairwise:8.*16 elec"),
+    "frequency": (lambda flat: Frame(flat, PAIRS, frequency=50e3), r"40000 Hz.*50000"),
+    "units": (lambda flat: Frame(flat * 40.0, PAIRS), "40 times"),
+    "order": (lambda flat: Frame(flat[np.arange(28)[::-1]], PAIRS), "scatter|another order"),
+}
+
+
+@pytest.mark.parametrize(("frame", "message"), REFUSED.values(), ids=REFUSED)
+def test_frames_of_other_sensors_and_measurements_are_refused(pipeline, frame, message):
+    flat = pipeline.layout.reference + 0j
+    pipeline.reset()
+    with pytest.raises(FrameError, match=message):
+        pipeline.process(frame(flat))
+    assert pipeline.process(Frame(flat, PAIRS, frequency=40.1e3)).state is State.IDLE
 
 
 @pytest.mark.parametrize(
@@ -232,7 +264,7 @@ def test_taps_of_one_frame_each_are_found(session, free):
     """The changes by touches are not taken for noise of the board."""
     rng, bend = np.random.default_rng(5), Bend(15.0)
     session(Scene(bend))
-    for x, y, force in rng.uniform((0.02, 0.012, 6.0), (0.13, 0.048, 12.0), (12, 3)):
+    for x, y, force in rng.uniform((0.02, 0.012, 6.0), (0.13, 0.048, 12.0), (6, 3)):
         assert_touched(session(Scene(bend, (Touch(x, y, force),))), (x, y))
         for _ in range(free):
             assert session(Scene(bend)).state is not State.TOUCH
