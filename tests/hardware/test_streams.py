@@ -74,7 +74,8 @@ def test_each_reading_is_one_datagram_and_silence_is_told(listener, udp):
     connection.problem = "the cable is out"
     with streams.ReadingPublisher(connection, [udp], heartbeat=0.02) as publisher:
         publisher.publish(reading(7))
-        said = json.loads(listener.recv(65536))
+        while (said := json.loads(listener.recv(65536)))["kind"] == "silence":
+            pass  # of a busy machine, before the reading
         assert said == streams.reading_record(reading(7), FakeBoard.counts)
         silent = json.loads(listener.recv(65536))
         assert (silent["kind"], silent["problem"]) == ("silence", "the cable is out")

@@ -21,7 +21,7 @@ FLAGS = (
     "--enable-unsafe-swiftshader",  # WebGL without a graphics card
     "--disable-gpu",
 )
-ANSWERS_WITHIN = 60.0  # s
+ANSWERS_WITHIN = 300.0  # s
 
 
 class BrowserError(EitskinError):
@@ -84,7 +84,7 @@ class Tab:
             raise BrowserError(f"{script}: {found['error']}")
         return found.get("value")
 
-    def until(self, condition: str, seconds: float = 30.0) -> None:
+    def until(self, condition: str, seconds: float = ANSWERS_WITHIN) -> None:
         """Wait until a JavaScript expression is true; raises BrowserError.
 
         While the page loads the expression may throw, which counts as false.

@@ -156,7 +156,7 @@ def test_a_browser_that_comes_late_gets_the_past(connection) -> None:
             ]
             assert [data["sent"] for _, data in past] == [0.0, 0.3, 0.6]
             page.publish(reading(7))
-            assert late.next()[1]["number"] == 7
+            assert late.until("frame")["number"] == 7
 
 
 def test_a_browser_that_reads_nothing_is_dropped_and_delays_nobody(connection) -> None:

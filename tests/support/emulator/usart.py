@@ -28,7 +28,7 @@ class Line:
 
     def read(self, size=1):
         """Bytes that have come, at least one; a board that says nothing fails."""
-        give_up = time.monotonic() + 60.0
+        give_up = time.monotonic() + 600.0
         while not self.sent:
             assert time.monotonic() < give_up
             time.sleep(0.002)
