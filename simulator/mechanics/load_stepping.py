@@ -22,7 +22,7 @@ _TOLERANCE = 1e-7  # last correction over the largest unknown; the error is its 
 _CHORDS = 4  # most corrections by the factors of an earlier iterate
 _CONTRACTION = 0.1  # largest ratio of such a correction to the one before
 _HALVINGS = 6  # of a correction that would turn a cell inside out
-_MIN_STEP = 1.0 / 200.0
+MIN_STEP = 1.0 / 200.0
 
 
 class SolidError(ConfigurationError):
@@ -161,6 +161,7 @@ def newton(
     tolerance: float = _TOLERANCE,
     scale: float = 0.0,
     chords: bool = False,
+    contraction: float = np.inf,
 ) -> Array:
     """Stable equilibrium near x (n,) under a load, by Newton's method.
 
@@ -172,23 +173,27 @@ def newton(
     they contract tenfold: they take the place of the last factorisation. A
     stiffness whose factors contract has their inertia.
 
-    Raises SolidError where no stable equilibrium is found; `follow` then takes smaller steps.
+    Raises SolidError where no stable equilibrium is found, or a correction is `contraction` times
+    the one before or more; `follow` then takes smaller steps.
     """
     free = np.setdiff1d(np.arange(len(x)), load.fixed)
     start = max(np.abs(x).max(), scale)  # where all loads are removed, x itself goes to zero
     factorise = terms[0].elimination(load.fixed, len(x))
     constraints = sum(term.multipliers for term in terms)
+    last = np.inf
     for iteration in range(_ITERATIONS):
         step, factorised, residual_norm = _correction(terms, x, load, free, factorise)
+        size = float(np.abs(step).max())
+        if not size < contraction * last:
+            raise SolidError("the corrections of Newton's method do not contract")
+        last = size
         # Full steps find the contact area quickly at first; later steps must not cycle.
         limit = np.inf if iteration < _FULL_STEPS else residual_norm
         x = _line_search(terms, x, step, load.forces, free, limit)
-        found = x if np.abs(step).max() <= tolerance * max(start, np.abs(x).max()) else None
+        found = x if size <= tolerance * max(start, np.abs(x).max()) else None
         if found is None and chords:
             least = _CONTRACTION * tolerance**2 * max(start, float(np.abs(x).max()))
-            found = _modified_newton(
-                terms, x, load.forces, free, factorised, np.abs(step).max(), least
-            )
+            found = _modified_newton(terms, x, load.forces, free, factorised, size, least)
         if found is not None:
             # The potential has a minimum over displacements, given the constraints, where there
             # are as many negative pivots as multipliers (Sylvester's law of inertia).
@@ -272,13 +277,14 @@ def follow(
     first_step: float = 1.0,
     solve: Callable[[Sequence[ForceTerm], Array, Load], Array] = newton,
     remedy: str = "Load it less, or refine the mesh where it is strained most",
+    min_step: float = MIN_STEP,
 ) -> tuple[Array, tuple[ForceTerm, ...]]:
     """Load stepping: equilibrium under path(1) from x under path(0), with adaptive steps.
 
     Returns the unknowns (n,) and the advanced terms, solved again where these exert other forces.
 
     Raises SolidError, with the fraction reached and a remedy, where even small steps find no
-    equilibrium.
+    equilibrium; `min_step` is the smallest.
     """
     t, step, growth = 0.0, first_step, 2.0
     previous, previous_t = x, 0.0
@@ -298,7 +304,7 @@ def follow(
                 reached = solve(advanced, reached, load)
         except SolidError as error:
             step, growth = 0.5 * (target - t), 1.0
-            if step < _MIN_STEP:
+            if step < min_step:
                 raise SolidError(
                     f"only {t:.1%} of the load is carried; beyond, {error}. {remedy}", reached=t
                 ) from None

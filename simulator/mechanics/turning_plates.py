@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.simulator.mechanics.load_stepping import (
+    MIN_STEP,
     ForceTerm,
     LinearSprings,
     Load,
@@ -22,6 +23,7 @@ Indices = NDArray[np.int64]
 
 _NEIGHBOURS = 4  # solved angles that give the first guess of another
 _TOLERANCE = 5e-4  # of Newton's last correction; errors of its square are far below the mesh's
+_MIN_STEP_DEG = 1.0  # of load stepping, which ends at an angle where the sensor buckles
 
 
 class TurningPlates:
@@ -81,6 +83,7 @@ class TurningPlates:
 
     def _solve_from_neighbours(self, angle: float) -> Array:
         """Equilibrium from the polynomial through solved neighbours, or by load stepping."""
+        solve = partial(newton, tolerance=_TOLERANCE, chords=True, contraction=1.0)
         near = sorted(self._solved, key=lambda solved: abs(solved - angle))[:_NEIGHBOURS]
         if len(near) > 1:
             weights = (
@@ -92,14 +95,15 @@ class TurningPlates:
             )
             if self._solid.admissible(guess):
                 try:
-                    return newton(self._terms, guess, self._load(angle), _TOLERANCE)
+                    return solve(self._terms, guess, self._load(angle))
                 except SolidError:
                     pass  # load stepping may find a way where the polynomial does not
         before = near[0]
         step = min(1.0, self._longest / abs(angle - before))
+        least = max(_MIN_STEP_DEG / abs(angle - before), MIN_STEP)
         path = partial(self._interpolate_load, before, angle)
         try:
-            return follow(self._terms, self._solved[before], path, step)[0]
+            return follow(self._terms, self._solved[before], path, step, solve, min_step=least)[0]
         except SolidError as error:
             reached = before + error.reached * (angle - before)
             raise SolidError(

@@ -132,6 +132,8 @@ def test_work_is_the_energy_stored_also_with_earlier_factors_and_a_scale():
     held = Load(load.fixed, load.values, solid.forces(tiny))
     with pytest.raises(SolidError, match="does not converge"):
         newton([solid], np.zeros(solid.unknowns), held, tolerance=1e-2)
+    with pytest.raises(SolidError, match="do not contract"):
+        newton([solid], np.zeros(solid.unknowns), held, tolerance=1e-2, contraction=1.0)
     found = newton([solid], np.zeros(solid.unknowns), held, tolerance=1e-2, scale=1e-6)
     assert np.abs(found).max() < 1e-9
 
