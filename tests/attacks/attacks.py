@@ -7,7 +7,6 @@ the trial again: `--only shards --trial 17`. The suite runs a few trials of each
 
 import argparse
 import contextlib
-import dataclasses
 import errno
 import functools
 import os
@@ -43,19 +42,16 @@ from eitskin.datasets import (
     export_dataset,
     generate,
     open_dataset,
-    read_recording,
     save_dataset,
     verify,
 )
 from eitskin.datasets.recipe.scene_group import SceneGroup
-from eitskin.datasets.store.schema import FIELDS
 from eitskin.datasets.store.shard import append_checksum, verify_checksum
 from eitskin.errors import EitskinError
 from eitskin.files import TEMPORARY
-from eitskin.geometry import SensorDesign, Surface
+from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
-from eitskin.training import StoredReference, Zero, open_pipeline
-from eitskin.training.pipeline.saved_form import SHIPPED_PATH
+from eitskin.training import StoredReference, Zero
 
 import small_dataset
 from shards_here import in_this_process, made_here
@@ -141,30 +137,6 @@ def change_hdf5(path: Path, rng: random.Random) -> None:
             array[...] = values
 
 
-def caches(rng: random.Random, folder: Path) -> None:
-    """Damage the cache of compiled kernels, or of solved tables, and compute again."""
-    import numba
-
-    from eitskin.compiled import kernel
-
-    def sums(x: Any) -> float:
-        total = 0.0
-        for each in x:
-            total += each * each
-        return total
-
-    place = folder / "kernels"
-    place.mkdir(exist_ok=True)
-    with mock.patch.object(numba.config, "CACHE_DIR", str(place)):
-        made = kernel("float64(float64[::1])")(sums)
-        assert made(np.arange(4.0)) == 14.0
-        files = [path for path in place.rglob("*") if path.is_file()]
-        path = rng.choice(files)
-        path.write_bytes(damaged(path.read_bytes(), rng))
-        if kernel("float64(float64[::1])")(sums)(np.arange(4.0)) != 14.0:
-            raise AcceptedDamageError("a damaged kernel was run")
-
-
 @functools.cache
 def commands() -> list[tuple[tuple[str, ...], Any]]:
     """Words and parameters of every command that ends by itself."""
@@ -230,76 +202,6 @@ def options(rng: random.Random, folder: Path) -> None:
     (folder / "new").unlink(missing_ok=True)
     if error is not None or ran.exit_code:
         raise EitskinError("refused")
-
-
-def counts(rng: random.Random, folder: Path) -> None:
-    """Read files that claim more than they hold: huge counts, and sparse files."""
-    kind = rng.choice(("sparse", "design", "protocol", "surface", "recipe", "npy"))
-    number = rng.choice((10**7, 2 * 10**7, 2**31, 2**40, 2**63 - 1, 10**30, -1))
-    if kind == "sparse":
-        endings = ("csv", "h5", "npz", "mat", "json", "txt", "npy", "stl", "toml")
-        path = folder / f"sparse.{rng.choice(endings)}"
-        with path.open("wb") as file:
-            file.write(
-                rng.choice((b"", b"v0,v1\n1,2\n", b"\x89HDF\r\n\x1a\n", b"PK\3\4", b"[", b"solid "))
-            )
-            file.truncate(rng.choice((1 << 28, 1 << 32, 1 << 40)))
-        rng.choice((read_recording, SensorDesign.from_toml, Surface, StoredReference.read))(path)
-    elif kind == "npy":
-        head = (
-            f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({number}, 28), }}".ljust(117)
-            + "\n"
-        )
-        (folder / "big.npy").write_bytes(
-            b"\x93NUMPY\1\0" + len(head).to_bytes(2, "little") + head.encode()
-        )
-        read_recording(folder / "big.npy")
-    elif kind == "surface":
-        (folder / "big.stl").write_bytes(
-            bytes(80) + (number % 2**32).to_bytes(4, "little") + bytes(50 * 9)
-        )
-        Surface(folder / "big.stl")
-    elif kind == "protocol":
-        rng.choice((Protocol.pairwise, Protocol.adjacent, Protocol.opposite))(number)
-    else:
-        keys = {
-            "design": (
-                "electrodes = { count = N }",
-                "electrodes = { rows = N, columns = N, size = 1e-4 }",
-            ),
-            "recipe": (
-                "[[scenes]]\nstate = 'idle'\ncount = N",
-                "frames_per_shard = N\nscenes = []",
-            ),
-        }[kind]
-        text = rng.choice(keys).replace("N", str(number))
-        base = (
-            "outline = { radius = 0.03 }\nthickness = 0.004\n"
-            if kind == "design"
-            else "name = 'a'\n"
-        )
-        (folder / "big.toml").write_text(base + text)
-        (SensorDesign if kind == "design" else Recipe).from_toml(folder / "big.toml")
-
-
-def numbers(rng: random.Random, folder: Path) -> None:
-    """Put numbers that cannot be into a column, store it, and use what is accepted."""
-    path = folder / "numbers"
-    shutil.rmtree(path, ignore_errors=True)
-    shutil.rmtree(folder / "exported", ignore_errors=True)
-    columns = small_dataset.make(12)
-    name = rng.choice([field.name for field in FIELDS])
-    values = np.array(getattr(columns, name))
-    with np.errstate(all="ignore"), contextlib.suppress(OverflowError, ValueError):
-        values.flat[rng.randrange(values.size)] = rng.choice(NUMBERS)
-    data = dataclasses.replace(columns, **{name: values})
-    save_dataset(data, path, frames_per_shard=6)
-    if verify(path).damage:
-        return
-    opened = open_dataset(path)
-    list(map(opened.frame, range(12)))
-    export_dataset(path, folder / "exported", "parquet")
-    open_pipeline(SHIPPED_PATH).perceive(opened.select(range(3)))
 
 
 def disks(rng: random.Random, folder: Path) -> None:
@@ -382,10 +284,7 @@ KINDS: Mapping[str, Callable[[random.Random, Path], None]] = {
     each.__name__: each
     for each in (
         shards,
-        caches,
         options,
-        counts,
-        numbers,
         pipelines,
         arguments,
         live,

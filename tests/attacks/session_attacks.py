@@ -19,12 +19,13 @@ import numpy as np
 from websockets.sync.client import connect
 
 from eitskin.errors import EitskinError
-from eitskin.hardware import Counts, run_live
+from eitskin.hardware import run_live
 from eitskin.hardware.streams import reading_record
 from eitskin.simulator import Frame
 from eitskin.training import open_pipeline
 from eitskin.training.pipeline.saved_form import DOCUMENT, GOLDEN, SHIPPED_PATH, SUMS
 
+from live_fakes import FakeBoard
 from page_fakes import ask
 
 
@@ -86,19 +87,6 @@ def damaged_frame(good: Frame, rng: random.Random) -> Frame:
         ((good.time, good.number),) * 3 + ((-1e10, 0), (np.nan, -5), (1e300, 2**40))
     )
     return dataclasses.replace(good, impedance=values, status=status, time=time_, number=number)
-
-
-class FrameSource:
-    """Board of frames that are made as they are asked for."""
-
-    counts = Counts()
-
-    def __init__(self, made: Iterator[Frame]) -> None:
-        self.made = made
-
-    def frames(self, newest: bool = False) -> Iterator[Frame]:  # noqa: ARG002
-        """The frames."""
-        return self.made
 
 
 def pipelines(rng: random.Random, folder: Path) -> None:
@@ -178,10 +166,10 @@ def live(rng: random.Random, folder: Path, frames: int = 100) -> None:  # noqa: 
     clock = lambda: rng.choice((time.perf_counter(), 0.0, -1e9, 1e12))  # noqa: E731
     steps = time.time if rng.random() < 0.5 else clock
     with mock.patch("time.time", steps):
-        for reading in run_live(FrameSource(source()), pipeline(), clock=clock):
+        for reading in run_live(FakeBoard(source()), pipeline(), clock=clock):
             if reading.problem.startswith("the pipeline failed"):
                 raise ArithmeticError(reading.problem)
-            json.dumps(reading_record(reading, FrameSource.counts), allow_nan=False)
+            json.dumps(reading_record(reading, FakeBoard.counts), allow_nan=False)
             estimate = reading.estimate
             found = (
                 []

@@ -5,7 +5,7 @@ import os
 import pytest
 from attacks import KINDS, attempt
 
-TRIALS = {"live": 1, "disks": 8, "caches": 4, "arguments": 60}
+TRIALS = {"live": 1, "disks": 8, "arguments": 60}
 
 
 @pytest.mark.slow

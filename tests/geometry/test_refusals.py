@@ -186,21 +186,22 @@ def test_surfaces_that_bound_no_body_say_what_to_do(tmp_path, make, words) -> No
         Surface(tmp_path / "bad.stl")
 
 
-BOMB = "ply\nformat binary_little_endian 1.0\nelement vertex 1000000000\nproperty float x\n"
+BOMB = b"ply\nformat binary_little_endian 1.0\nelement vertex 1000000000\nproperty float x\n"
 
 
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
         ("none.stl", None, "none.stl: No such file"),
-        ("text.stl", "hello", "holds no triangles"),
-        ("part.step", "ISO-10303-21;", r"triangle.*STL"),
-        ("bomb.ply", f"{BOMB}end_header\n", r"bomb\.ply as a surface"),
+        ("text.stl", b"hello", "holds no triangles"),
+        ("claims.stl", bytes(80) + b"\xff\xff\xff\x7f" + bytes(450), "claims.stl"),
+        ("part.step", b"ISO-10303-21;", r"triangle.*STL"),
+        ("bomb.ply", BOMB + b"end_header\n", r"bomb\.ply as a surface"),
     ],
 )
 def test_files_that_hold_no_surface_are_refused(tmp_path, name, content, words) -> None:
     if content is not None:
-        (tmp_path / name).write_text(content)
+        (tmp_path / name).write_bytes(content)
     with pytest.raises(ConfigurationError, match=words):
         Surface(tmp_path / name)
     with pytest.raises(ConfigurationError, match=r"outline\.scale.*positive"):

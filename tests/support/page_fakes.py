@@ -10,12 +10,13 @@ from functools import partial
 import numpy as np
 
 from eitskin.cli.page.commands import ConflictError
-from eitskin.datasets import State
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, SensorDesign
 from eitskin.hardware import Counts, Reading
 from eitskin.simulator import Frame, Protocol, Scene, Touch
 from eitskin.training.method.predictions import TouchEstimate
+
+from live_fakes import Estimate
 
 PROTOCOL = Protocol.pairwise(8)
 DESIGN = SensorDesign.reference()
@@ -71,14 +72,9 @@ class FakeConnection:
     problem: str = ""
 
 
-@dataclasses.dataclass
-class FakeEstimate:
-    state: State | str = State.TOUCH
-    probabilities: tuple = (0.1, 0.8, 0.1)
-    bend_angle_deg: float = 20.5
-    touch_map: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((32, 80)))
-    touches: tuple = (TouchEstimate(0.05, 0.031, 7.5, strength=0.9),)
-    problems: tuple = ()
+FakeEstimate = partial(
+    Estimate, bend_angle_deg=20.5, touches=(TouchEstimate(0.05, 0.031, 7.5, strength=0.9),)
+)
 
 
 def reading(number=7, estimate=None, impedance=None, session=1, **known):
