@@ -11,7 +11,7 @@ from toy_skin import toy_presses
 
 from eitskin.cli.commands import train
 from eitskin.datasets import RecordingNames, State, read_recording, save_dataset
-from eitskin.errors import DataError, FrameError, UnusableFrameError
+from eitskin.errors import DataError, UnusableFrameError
 from eitskin.geometry import SensorDesign
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Disc
@@ -183,7 +183,7 @@ def frame(values, number, **changes):
 
 
 @pytest.mark.slow
-def test_a_press_has_a_position_alone_and_other_frames_are_refused(opened):
+def test_a_press_has_a_position_alone_also_with_channels_that_are_lost(opened):
     assert opened.targets.missing == ("the state", "the bend angle", "forces")
     noise = 1.0 + 1e-4 * np.random.default_rng(1).standard_normal((5, 15))
     for number, values in enumerate(FLAT * noise):
@@ -205,13 +205,6 @@ def test_a_press_has_a_position_alone_and_other_frames_are_refused(opened):
     assert np.hypot(estimate.touches[0][0] - PRESS[0], estimate.touches[0][1] - PRESS[1]) < 0.01
     with pytest.raises(UnusableFrameError):
         opened.process(frame(np.full(15, np.nan), 2))
-    with pytest.raises(FrameError, match="15 measurements"):
-        opened.process(Frame(np.ones(28), Protocol.pairwise(8)))
-    table = Protocol((PROTOCOL.table[1], PROTOCOL.table[0], *PROTOCOL.table[2:]), 6)
-    with pytest.raises(FrameError, match="trained for"):
-        opened.process(Frame(FLAT, table))
-    with pytest.raises(FrameError, match="40000 Hz"):
-        opened.process(frame(FLAT, 3, frequency=1e3))
 
 
 # Maps of channels

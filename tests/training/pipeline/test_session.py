@@ -258,18 +258,18 @@ def test_bent_and_odd_sensors_are_doubted_by_a_distribution_of_specimens():
     assert not known().for_sensor(partly).judge(strange).doubt
 
 
-@pytest.mark.parametrize("speed", [0.0, 0.002, 0.006, 0.015])
+@pytest.mark.parametrize("speed", [0.0, 0.006, 0.015])
 def test_a_standard_error_covers_a_motion_that_the_mean_of_frames_hides(speed):
     """A touch whose place one frame shows to 5 mm stands, then slides: no mean of eight follows."""
     along = 0.04 * np.linalg.qr(np.random.default_rng(2).normal(size=(28, 3)))[0].T
     places, seen = np.concatenate([np.zeros(20), speed * np.arange(1, 7)]), []
-    for seed in range(20):
+    for seed in range(8):
         rng, held = np.random.default_rng(seed), HeldTouch(3e-4, directions=along)
         for n, place in enumerate(places):
             V = FLAT * (1.0 + along[0] * place + 2e-4 * rng.standard_normal(28))
             count = held.add(V, FLAT, held=n > 0)[1]
             seen.append((place - places[n + 1 - count : n + 1].mean(), count, held.lag.sum()))
-    lag, count, variance = np.array(seen).reshape(20, -1, 3)[:, 15:].transpose(2, 0, 1)
+    lag, count, variance = np.array(seen).reshape(8, -1, 3)[:, 15:].transpose(2, 0, 1)
     errors = lag**2 + 0.005**2 / count
     assert 0.65 < np.sqrt(errors.mean() / np.mean(variance + 0.005**2 / count)) < 2.0
     assert count[:, :5].mean() > 6.0
