@@ -79,7 +79,7 @@ def test_signals_of_touches_are_off_by_less_than_a_thousandth(small) -> None:
     assert complex_contacts.measure_all(some) == pytest.approx(exact, rel=1e-12)
 
 
-@pytest.mark.parametrize("z", [1e-7, 10.0])
+@pytest.mark.parametrize("z", [pytest.param(1e-7, marks=pytest.mark.slow), 10.0])
 def test_electrodes_of_any_contact_impedance(z) -> None:
     """In the form of the flat sensor, which is the lifted one where contact is good."""
     sim = Simulator(with_contacts(z), COARSE)
@@ -175,7 +175,10 @@ def test_many_scenes_of_many_bends_share_one_factorisation() -> None:
 
 @pytest.mark.parametrize(
     ("electrodes", "plain"),
-    [(8, False), (5, True), pytest.param(70, False, marks=pytest.mark.slow)],
+    [
+        (8, False),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((5, True), (70, False))),
+    ],
 )
 def test_bytes_do_not_depend_on_neighbours(monkeypatch, electrodes, plain) -> None:
     """Scenes in any order and number, beside quick and slow ones, in any place of a batch."""
@@ -320,6 +323,7 @@ def test_the_estimate_is_near_the_memory_that_is_taken(order, size, cells) -> No
 # Kinds of cells
 
 
+@pytest.mark.slow
 def test_many_electrodes_have_prisms_and_simulators_of_a_design_share_its_mesh():
     """Lines of hexahedra through 32 electrodes would make five times the reference's unknowns."""
     eight, many, pads = (

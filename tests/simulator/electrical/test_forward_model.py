@@ -232,7 +232,9 @@ def test_pixels_run_along_y_and_x_and_gradients_are_what_potentials_do(pixel_mod
         np.testing.assert_allclose(found[:, axis], slope, rtol=1e-6, atol=1e-4)
 
 
-@pytest.mark.parametrize("z", [1e-9, 10.0, 1e-3 - 5e-4j])
+@pytest.mark.parametrize(
+    "z", [*(pytest.param(z, marks=pytest.mark.slow) for z in (1e-9, 10.0)), 1e-3 - 5e-4j]
+)
 def test_contact_sensitivity_agrees_with_central_differences(z) -> None:
     """For every electrode alone, in both forms of the electrode terms, real and complex."""
 

@@ -164,8 +164,9 @@ def without_disc():
     return PROTOCOL.measure(ForwardModel(ROUND, COARSE).impedance()).real
 
 
-@pytest.mark.parametrize("contrast", [2.0, pytest.param(100.0, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("part", [pytest.param(0.1, marks=pytest.mark.slow), 0.5])
+@pytest.mark.slow
+@pytest.mark.parametrize("contrast", [2.0, 100.0])
+@pytest.mark.parametrize("part", [0.1, 0.5])
 def test_a_disc_in_a_disc_has_the_signal_of_the_closed_form(contrast, part) -> None:
     """Next to a model without the disc, whose mesh is another."""
     plain = without_disc()
