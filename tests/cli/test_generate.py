@@ -1,4 +1,4 @@
-"""`eitskin generate`, `dataset` and `import`: what they print, their exit codes, Ctrl-C."""
+"""`eitskin generate` and `dataset`: what they print, their exit codes, Ctrl-C."""
 
 import itertools
 import json
@@ -133,24 +133,3 @@ def test_info_verify_and_compact_tell_of_sets_and_shards(tmp_path):
     assert_same(open_dataset(tmp_path / "new"), make(40))
     said = run("dataset", "compact", folder, "--out", tmp_path / "cut", "--frames-per-shard", 0)
     assert "40 frames in 4 shards" in said.stdout
-
-
-# eitskin import
-
-
-@pytest.mark.slow
-def test_presses_are_imported_by_name_and_combined(tmp_path):
-    rng = np.random.default_rng(0)
-    for name in ("one", "two"):
-        rows = [",".join(f"{v:.2f}" for v in rng.normal(100, 1, 28)) + ",20,30,4" for _ in range(3)]
-        header = ",".join(f"ch{i}" for i in range(1, 29)) + ",px,py,N"
-        (tmp_path / f"{name}.csv").write_text("\n".join([header, *rows]))
-        places = [f"--column={label}" for label in ("x=px", "y=py", "force=N", "radius=0.004")]
-        imported = ["--values", "ch", "--protocol", "pairwise:8", "--length-unit", "mm"]
-        out = ["--out", tmp_path / name, "--json"]
-        found = json.loads(run("import", tmp_path / f"{name}.csv", *imported, *places, *out).stdout)
-        assert (found["states"]["touch"], found["unused"]) == (3, [])
-    run("dataset", "combine", tmp_path / "one", tmp_path / "two", "--out", tmp_path / "both")
-    both = open_dataset(tmp_path / "both")
-    assert (len(both), len(both.reference)) == (6, 2)
-    assert np.allclose(both.touch_x[:, 0], 0.020)

@@ -173,7 +173,7 @@ def test_names_of_an_import_stay_with_copies_and_combinations(named, tmp_path):
     assert specimens_in_words(data.select([3])) == "1 specimen (gel A right)"
     data = dataclasses.replace(open_dataset(named), names=Names(), impedance=np.ones((4, 3)))
     save_dataset(data, tmp_path / "yours")
-    combine([tmp_path / "yours", named], tmp_path / "both")
+    run("dataset", "combine", tmp_path / "yours", named, "--out", tmp_path / "both", code=0)
     both = open_dataset(tmp_path / "both")
     unnamed = ("yours 0", "yours 1", "yours 2")
     assert both.specimen_names == (*unnamed, *SPECIMENS.values())

@@ -1,5 +1,6 @@
 """Shards: round trips, equal bytes, damage that is found, hostile files, full disks."""
 
+import dataclasses
 import hashlib
 import json
 import os
@@ -18,6 +19,7 @@ from eitskin.datasets import (
     verify,
     write_shard,
 )
+from eitskin.datasets.store import folder as folders
 from eitskin.datasets.store import shard_reader
 from eitskin.datasets.store.schema import FIELDS, FORMAT_VERSION
 from eitskin.datasets.store.shard import append_checksum, shard_bytes, verify_checksum
@@ -393,10 +395,10 @@ def test_a_sound_set_is_sound_and_all_damage_is_listed(folder, tmp_path):
     assert "eitskin generate" in problems(folder / "absent")["manifest.json"]
 
 
-def rewritten(folder, number, **changes):
+def rewritten(folder, number, n=10, **changes):
     """A shard of other content, to which the manifest has been made to agree."""
     path = folder / f"shard-00000{number}.h5"
-    write_shard(path, make(**({"n": 10} | changes)), 10 * number)
+    write_shard(path, dataclasses.replace(make(n), **changes), 10 * number)
     manifest = json.loads((folder / "manifest.json").read_text())
     manifest["shards"][number]["sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
     (folder / "manifest.json").write_text(json.dumps(manifest))
@@ -409,8 +411,14 @@ def rewritten(folder, number, **changes):
         ({"seed": 8}, "recipe or seed"),
         ({"recipe": "other"}, "recipe or seed"),
         ({"frequency": 1e3}, "not made together"),
+        ({"reference": np.ones((2, 28), np.complex64)}, "reference of a specimen"),
     ],
 )
-def test_shards_of_another_set_do_not_belong(folder, changes, message):
+def test_shards_of_another_set_do_not_belong(folder, changes, message, monkeypatch):
     rewritten(folder, 2, **changes)
     assert message in problems(folder)["shard-000002.h5"]
+    monkeypatch.setattr(folders, "READ_AT_ONCE", 0)
+    found = open_dataset(folder)
+    for _ in range(2):  # not only the first time
+        with pytest.raises(DataError, match=r"not made together|must hold"):
+            _ = found.state
