@@ -95,6 +95,7 @@ def test_order_is_tested_impossible_changes_are_cut_and_noise_is_named(tmp_path)
     assert one["largest_is_noise"]
 
 
+@pytest.mark.slow
 def test_regions_of_a_tank_against_a_recording_of_plain_water(tmp_path):
     """Files that say their patterns, with lost channels and some of the reference near zero."""
     design = SensorDesign(Disc(0.05), 0.005, uniform(Disc(0.05), 16))

@@ -14,7 +14,7 @@ from eitskin.hardware.virtual import virtual_board as virtual
 from eitskin.simulator import FourTerminalMeter, Frame, Instrument, Protocol, Scene, Simulator
 from eitskin.training import Pipeline, StoredReference, Zero
 
-FLAT = "virtual:?speed=max"
+FLAT = "virtual:?speed=max&resolution=coarse"
 kept_simulator = lru_cache(Simulator)  # of the sensor that all of the boards have
 
 
@@ -41,9 +41,7 @@ def reference(tmp_path):
     return path
 
 
-def test_references_know_board_zero_and_dataset_and_a_bent_sensor_is_no_flat_one(
-    reference, tmp_path, bent
-):
+def test_references_know_board_zero_and_dataset(reference, tmp_path):
     stored = StoredReference.read(reference)
     assert (stored.zero, stored.frames, stored.source) == (Zero.FLAT, 8, FLAT)
     assert bytes.fromhex(stored.board) == b"eitskin-0000"
@@ -54,16 +52,16 @@ def test_references_know_board_zero_and_dataset_and_a_bent_sensor_is_no_flat_one
     words = ("--dataset", tmp_path / "run", "--mounted", "--out", path)
     run("tare", "reference.eitmodel", *words, code=0)
     np.testing.assert_allclose(StoredReference.read(path).impedance, flat, rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_bent_start_is_no_flat_one_and_taken_by_its_reference(bent, reference, tmp_path):
     path = tmp_path / "mounted.json"
     with pytest.raises(DataError, match="--mounted"):
         tare(path, bent)
     assert not path.exists()
     said = json.loads(tare(path, bent, "--mounted", "--json", "--frames", 4).stdout)
     assert (said["zero"], said["frames"]) == ("as mounted", 4)
-
-
-@pytest.mark.slow
-def test_check_and_live_take_a_bent_start_by_its_reference(bent, reference):
     check = ("check", "--frames", 4, "--json", "--board")
     (finding,) = json.loads(run(*check, bent, code=4).stdout)["findings"]
     assert finding["what"] == "not flat"
