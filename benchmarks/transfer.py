@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.benchmarks.frames import generate_missing
-from eitskin.benchmarks.paper.scores import frame_scene
-from eitskin.benchmarks.paper.sets import KNOWN_DEG
+from eitskin.benchmarks.paper.scores import KNOWN_DEG, frame_scene
 from eitskin.benchmarks.results import Columns, Progress, Report, ReportTable, make_results
 from eitskin.datasets import Dataset, Recipe, State
 from eitskin.datasets.recipe.frame_sampling import specimen

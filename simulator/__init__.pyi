@@ -15,9 +15,6 @@ from eitskin.simulator.electrical.batch import (
     Tolerance as Tolerance,
 )
 from eitskin.simulator.electrical.forward_model import ForwardModel as ForwardModel
-from eitskin.simulator.instrument.gel import (
-    age_gel as age_gel,
-)
 from eitskin.simulator.instrument.instrument import Instrument as Instrument
 from eitskin.simulator.instrument.meter import FourTerminalMeter as FourTerminalMeter
 from eitskin.simulator.instrument.meter_fit import (
@@ -28,6 +25,9 @@ from eitskin.simulator.instrument.meter_fit import (
 )
 from eitskin.simulator.instrument.meter_fit import select_meter as select_meter
 from eitskin.simulator.instrument.session import Session as Session
+from eitskin.simulator.instrument.session import (
+    age_gel as age_gel,
+)
 from eitskin.simulator.mechanics.layer_stack import Mechanics as Mechanics
 from eitskin.simulator.scene.indenters import (
     Cylinder as Cylinder,

@@ -27,7 +27,7 @@ from eitskin.benchmarks.results import Columns, Progress, Report, ReportTable, m
 from eitskin.extras import require
 from eitskin.geometry import ConfigurationError, Rectangle
 from eitskin.geometry.design.regular_layouts import uniform
-from eitskin.hardware.protocol.frame_parts import PER_PACKET
+from eitskin.hardware.protocol.packets import PER_PACKET
 from eitskin.training.evaluation.drawing import draw_sensor, new_figure
 
 SEARCH = "search"

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from eitskin.benchmarks.paper import scores as paper_scores
-from eitskin.benchmarks.paper.scores import Figures
-from eitskin.benchmarks.paper.sets import Sets, make
+from eitskin.benchmarks.paper.scores import Figures, Sets, make
 from eitskin.benchmarks.results import Progress, Report, ReportTable, make_results, plot_errors
 from eitskin.datasets import Dataset
 from eitskin.geometry import ConfigurationError, DataError

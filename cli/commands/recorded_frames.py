@@ -151,7 +151,7 @@ class FrameOptions:
         """Frames of a scene, a board, or a dataset, whose order is tested by reciprocity."""
         import numpy as np
 
-        from eitskin.datasets.recordings.orders import in_order, require_order
+        from eitskin.datasets.recordings.protocols import in_order, require_order
         from eitskin.hardware.opening import is_board
 
         if source.endswith(".eitmodel"):

@@ -294,7 +294,7 @@ def mesh(
         data, make_table(("mesh", Column("", justify="right")), _mesh_rows(data), show_header=False)
     )
     if view is not None:
-        from eitskin.simulator.view.model_pictures import draw_drive, draw_mesh, model_for_pictures
+        from eitskin.simulator.view.scene_pictures import draw_drive, draw_mesh, model_for_pictures
 
         if pair is None:
             draw_mesh(new_mesh, view)

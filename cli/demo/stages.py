@@ -155,7 +155,7 @@ class Demo:
 
 def show_sensor(demo: Demo) -> Stage:
     """The flat sensor: electrodes, mesh, potential and current, and its resistances."""
-    from eitskin.simulator.view.model_pictures import draw_drive, model_for_pictures
+    from eitskin.simulator.view.scene_pictures import draw_drive, model_for_pictures
 
     design, model = demo.design, model_for_pictures(demo.design)
     resistance = Simulator(design, "fast").measure(Scene()).impedance.real

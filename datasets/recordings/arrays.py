@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.recordings.patterns import find_patterns, measurement_rows
+from eitskin.datasets.recordings.protocols import find_patterns, measurement_rows
 from eitskin.datasets.recordings.reader import Contents, Reader, ReadRequest, Tables, as_data_errors
 from eitskin.datasets.store.shard_reader import require_stored
 from eitskin.errors import DataError

@@ -27,7 +27,6 @@ from eitskin.datasets.recordings.labels import (
     read_labels,
     require_plausible,
 )
-from eitskin.datasets.recordings.orders import Order, in_order, require_order
 from eitskin.datasets.recordings.parts import (
     PhaseUnit,
     counts_from_one,
@@ -37,7 +36,12 @@ from eitskin.datasets.recordings.parts import (
     require_protocol_of_names,
     unit_factor,
 )
-from eitskin.datasets.recordings.patterns import protocol_of_patterns
+from eitskin.datasets.recordings.protocols import (
+    Order,
+    in_order,
+    protocol_of_patterns,
+    require_order,
+)
 from eitskin.datasets.recordings.reader import BLOCK_ROWS, ReadRequest, Tables
 from eitskin.datasets.recordings.source import Source
 from eitskin.errors import ConfigurationError, DataError

@@ -8,7 +8,7 @@ import numpy as np
 
 from eitskin.bounds import require_positive
 from eitskin.datasets.recordings.blocks import Block, ReferenceMeans, add_previous_readings
-from eitskin.datasets.recordings.orders import law_misfit
+from eitskin.datasets.recordings.protocols import law_misfit
 from eitskin.datasets.recordings.recorded_file import (
     RecordedFile,
     RecordingForm,

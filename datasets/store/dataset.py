@@ -23,7 +23,7 @@ from eitskin.datasets.store.schema import (
     check_values,
     frame_bytes,
 )
-from eitskin.datasets.store.tensors import NAMES, FrameTensors
+from eitskin.datasets.store.touch_map import NAMES, FrameTensors
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.extras import old_names
 from eitskin.files import quote_value

@@ -9,8 +9,7 @@ import numpy as np
 
 from eitskin.bounds import LONGEST, require_in_range, require_positive
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.deformation.flexure import Flexure
-from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points
+from eitskin.geometry.deformation.kinematics import Deformation, Flexure, Gradients, Points
 from eitskin.geometry.design.sensor import SensorDesign, warn_of_grid
 
 _SEARCH_STEP = 5  # deg, of the search for the last possible angle

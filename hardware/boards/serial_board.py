@@ -16,8 +16,17 @@ from eitskin.files import shorten_text
 from eitskin.frame import Frame, Status
 from eitskin.hardware.boards.board import PortBoard, longest_silence
 from eitskin.hardware.boards.port import SerialPort, UnrecoverableError, connector
-from eitskin.hardware.protocol import frame_parts, messages
-from eitskin.hardware.protocol.packets import Decoder, MessageError, PacketDrop, encode
+from eitskin.hardware.protocol import messages
+from eitskin.hardware.protocol.packets import (
+    PER_PACKET,
+    Decoder,
+    FrameAssembly,
+    FrameData,
+    FramePart,
+    MessageError,
+    PacketDrop,
+    encode,
+)
 from eitskin.protocol import Protocol
 
 REPLY_TIMEOUT = 0.5  # s
@@ -58,7 +67,7 @@ class SerialBoard(PortBoard[messages.Message]):
         """
         self.events: deque[messages.Event] = deque(maxlen=20)
         self._decoder = Decoder()
-        self._assembly = frame_parts.FrameAssembly(self._decoder.drops)
+        self._assembly = FrameAssembly(self._decoder.drops)
         self._malformed, self._latest = "", b""
         self._seq = 0
         self._expected: int | None = None
@@ -138,7 +147,7 @@ class SerialBoard(PortBoard[messages.Message]):
     def _read_table(self) -> messages.Table:
         """Measurement table of the board, in one packet or in parts."""
         n = self.info.n_measurements
-        if n <= frame_parts.PER_PACKET:
+        if n <= PER_PACKET:
             return self._request(messages.GetTable(), messages.Table)
         table = messages.Table(())
         for _ in range(n):  # an answer to an earlier request may come late, and is passed over
@@ -201,12 +210,12 @@ class SerialBoard(PortBoard[messages.Message]):
             self._lost = lost
 
     def _frame(self, item: messages.Message) -> Frame | None:
-        if isinstance(item, frame_parts.FrameData):
+        if isinstance(item, FrameData):
             return self._accept(item)
         self._note(item)
         return None
 
-    def _accept(self, data: frame_parts.FrameData) -> Frame | None:
+    def _accept(self, data: FrameData) -> Frame | None:
         """Frame in `data`; None for a late one, or one of another measurement table."""
         if len(data.impedance) != len(self.protocol):
             self._drop_malformed(
@@ -316,11 +325,7 @@ class SerialBoard(PortBoard[messages.Message]):
             except MessageError as error:
                 self._drop_malformed(str(error))
                 continue
-            frame = (
-                self._assembly.add(message)
-                if isinstance(message, frame_parts.FramePart)
-                else message
-            )
+            frame = self._assembly.add(message) if isinstance(message, FramePart) else message
             if frame is not None:
                 self._inbox.append(frame)
 

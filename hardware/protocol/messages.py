@@ -13,21 +13,19 @@ from typing import Any, NamedTuple, cast
 
 from eitskin.errors import ConfigurationError
 from eitskin.extras import old_names
-from eitskin.hardware.protocol.frame_parts import (
+from eitskin.hardware.protocol.packets import (
     MAX_MEASUREMENTS,
+    MAX_PAYLOAD,
     PER_PACKET,
     FrameData,
     FramePart,
-    pack_frame,
-    unpack_frame,
-    unpack_part,
-)
-from eitskin.hardware.protocol.packets import (
-    MAX_PAYLOAD,
     MessageError,
     MessageType,
     Packet,
+    pack_frame,
     require_field,
+    unpack_frame,
+    unpack_part,
 )
 from eitskin.protocol import MAX_ELECTRODES, Protocol, Row
 

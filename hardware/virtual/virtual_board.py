@@ -17,8 +17,7 @@ from eitskin.hardware.boards.serial_board import SerialBoard
 from eitskin.hardware.virtual import stage as scenes
 from eitskin.hardware.virtual.fault import Fault
 from eitskin.hardware.virtual.fault_table import read_faults
-from eitskin.hardware.virtual.memory_line import MemoryLine
-from eitskin.hardware.virtual.pseudo_terminal import PseudoTerminal
+from eitskin.hardware.virtual.memory_line import MemoryLine, PseudoTerminal
 from eitskin.hardware.virtual.virtual_firmware import VirtualFirmware
 from eitskin.protocol import Protocol
 from eitskin.simulator.deformation.sensor_grid import read_fixed

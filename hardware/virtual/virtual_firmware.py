@@ -7,8 +7,15 @@ from typing import TypeVar
 import numpy as np
 
 from eitskin.hardware.protocol import messages
-from eitskin.hardware.protocol.frame_parts import PER_PACKET, FrameData, frame_packets
-from eitskin.hardware.protocol.packets import Decoder, MessageError, Packet, encode
+from eitskin.hardware.protocol.packets import (
+    PER_PACKET,
+    Decoder,
+    FrameData,
+    MessageError,
+    Packet,
+    encode,
+    frame_packets,
+)
 from eitskin.hardware.virtual.fault import Fault, Hook
 from eitskin.hardware.virtual.stage import Measure, Stage
 from eitskin.protocol import Protocol

@@ -12,8 +12,7 @@ from touched_dataset import touched_dataset
 
 from eitskin.benchmarks.paper import run as paper
 from eitskin.benchmarks.paper import scores as paper_scores
-from eitskin.benchmarks.paper.scores import signal_to_noise
-from eitskin.benchmarks.paper.sets import KNOWN_DEG, Sets, recipes
+from eitskin.benchmarks.paper.scores import KNOWN_DEG, Sets, recipes, signal_to_noise
 from eitskin.benchmarks.results import read_results
 from eitskin.datasets import Dataset, Recipe, State
 from eitskin.datasets.recipe.frame_sampling import sample, specimen

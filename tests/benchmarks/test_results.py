@@ -26,7 +26,7 @@ from eitskin.benchmarks.leaderboard import (
     write_leaderboard,
 )
 from eitskin.benchmarks.methods import FRAMES, SPECIMENS, small_recipe
-from eitskin.benchmarks.paper import sets as paper_sets
+from eitskin.benchmarks.paper import scores as paper_sets
 from eitskin.benchmarks.result_pages import (
     PUBLISHED_FOLDER,
     full_results,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from eitskin.cli.live_pictures import CALM, REFERENCE, LivePictures
-from eitskin.cli.page.state import signed_pixels
+from eitskin.cli.page.live_page import signed_pixels
 from eitskin.errors import ConfigurationError, FrameError
 from eitskin.frame import Frame
 from eitskin.geometry import SensorDesign

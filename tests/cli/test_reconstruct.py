@@ -8,7 +8,7 @@ from command_line import printed_json, run
 from scipy.io import savemat
 
 from eitskin.datasets import Dataset, save_dataset
-from eitskin.datasets.recordings.orders import in_order
+from eitskin.datasets.recordings.protocols import in_order
 from eitskin.errors import DataError
 from eitskin.geometry import Disc, Inclusion, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform

@@ -15,7 +15,7 @@ from scipy.io import savemat
 from scipy.sparse import csc_matrix
 
 from eitskin.datasets import State, open_dataset, read_recording
-from eitskin.datasets.recordings.orders import in_order
+from eitskin.datasets.recordings.protocols import in_order
 from eitskin.errors import DataError
 from eitskin.protocol import Protocol
 

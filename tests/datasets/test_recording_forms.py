@@ -9,7 +9,7 @@ from scipy.io import savemat
 
 from eitskin.datasets import Recording, RecordingForm, RecordingNames, State, read_recording
 from eitskin.datasets.recordings import recorded_file
-from eitskin.datasets.recordings.orders import in_order
+from eitskin.datasets.recordings.protocols import in_order
 from eitskin.datasets.recordings.source import open_reader
 from eitskin.errors import DataError
 from eitskin.geometry import SensorDesign

@@ -9,14 +9,6 @@ from cobs import cobs
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eitskin.hardware.protocol.frame_parts import (
-    MAX_MEASUREMENTS,
-    PER_PACKET,
-    FrameAssembly,
-    FrameData,
-    FramePart,
-    frame_packets,
-)
 from eitskin.hardware.protocol.messages import (
     Ack,
     Calibrate,
@@ -32,14 +24,20 @@ from eitskin.hardware.protocol.messages import (
     unpack,
 )
 from eitskin.hardware.protocol.packets import (
+    MAX_MEASUREMENTS,
     MAX_PACKET,
     MAX_PAYLOAD,
+    PER_PACKET,
     Decoder,
+    FrameAssembly,
+    FrameData,
+    FramePart,
     MessageError,
     MessageType,
     Packet,
     PacketDrop,
     encode,
+    frame_packets,
 )
 
 packets = st.builds(

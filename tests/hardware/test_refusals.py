@@ -16,9 +16,8 @@ from eitskin.hardware.boards.port import PortInfo, connector, find_port
 from eitskin.hardware.boards.text_board import open_text
 from eitskin.hardware.diagnosis.reading_check import check_frames, check_readings
 from eitskin.hardware.diagnosis.sensor_check import check_sensor
-from eitskin.hardware.protocol.frame_parts import MAX_MEASUREMENTS
 from eitskin.hardware.protocol.messages import Table
-from eitskin.hardware.protocol.packets import MAX_PAYLOAD, Packet, encode
+from eitskin.hardware.protocol.packets import MAX_MEASUREMENTS, MAX_PAYLOAD, Packet, encode
 from eitskin.hardware.ros2.mcap import McapWriter
 from eitskin.hardware.streams import UdpOutlet, WebSocketOutlet, parse_address
 from eitskin.hardware.virtual.fault_table import read_faults

@@ -13,9 +13,8 @@ from eitskin.geometry import Bend
 from eitskin.hardware import Connection, Script, SerialBoard, Step, open_board
 from eitskin.hardware.boards.board import FIRST_PAUSE, MAX_PAUSE, longest_silence
 from eitskin.hardware.boards.port import ReopenablePort, UnrecoverableError
-from eitskin.hardware.protocol.frame_parts import FrameData
 from eitskin.hardware.protocol.messages import Ack, Event, pack
-from eitskin.hardware.protocol.packets import MessageType, Packet, encode
+from eitskin.hardware.protocol.packets import FrameData, MessageType, Packet, encode
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
 from eitskin.simulator import Scene
 

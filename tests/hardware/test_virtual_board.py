@@ -10,9 +10,8 @@ from eitskin.errors import DeviceError
 from eitskin.geometry import Bend, Disc, Hinge, Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.hardware import Connection, Script, SerialBoard, Step, open_board
-from eitskin.hardware.protocol.frame_parts import FrameData
 from eitskin.hardware.protocol.messages import Ack, GetTable, Start, pack, unpack
-from eitskin.hardware.protocol.packets import Decoder, MessageType, Packet, encode
+from eitskin.hardware.protocol.packets import Decoder, FrameData, MessageType, Packet, encode
 from eitskin.hardware.virtual.fault_table import read_faults
 from eitskin.hardware.virtual.memory_line import MemoryLine
 from eitskin.hardware.virtual.stage import SimulatedSensor, Stage

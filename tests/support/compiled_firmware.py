@@ -18,8 +18,7 @@ import pytest
 from eitskin import hardware
 from eitskin.hardware.protocol.messages import Ack, Info, Start, pack, unpack
 from eitskin.hardware.protocol.packets import Decoder, MessageType, encode
-from eitskin.hardware.virtual.memory_line import MemoryLine
-from eitskin.hardware.virtual.pseudo_terminal import PseudoTerminal
+from eitskin.hardware.virtual.memory_line import MemoryLine, PseudoTerminal
 
 from loopback import FLAT, PROTOCOL
 from simulated_afe import SimulatedAfe

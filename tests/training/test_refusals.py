@@ -33,8 +33,7 @@ from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.known_frames import KnownFrames
 from eitskin.training.method.settings import NetworkSettings
 from eitskin.training.method.targets import require_targets
-from eitskin.training.paper.bend_angle import BendAngle
-from eitskin.training.paper.stages import Reconstruction
+from eitskin.training.paper.stages import BendAngle, Reconstruction
 from eitskin.training.pipeline.methods import MethodCodeError, method_class, named_method
 from eitskin.training.pipeline.references import FORMAT_VERSION
 from eitskin.training.reconstruction.pixel_grid import PixelGrid, figures_of_merit

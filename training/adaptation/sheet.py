@@ -18,8 +18,7 @@ from eitskin.training.adaptation.channel_maps import (
     Presses,
     concatenate,
 )
-from eitskin.training.reconstruction.linear_model import linear_model
-from eitskin.training.reconstruction.pixel_grid import PixelGrid
+from eitskin.training.reconstruction.pixel_grid import PixelGrid, linear_model
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
 """The method of the paper: state classifier, bend regression, reconstruction, post-processor.
 
-`method.PaperMethod` joins the stages; each has a module with `fit` and `apply`.
+`method.PaperMethod` joins the `stages`; each has `fit` and `apply`.
 """

@@ -29,8 +29,8 @@ from eitskin.training.method.targets import (
     most_probable,
     untouched_angles,
 )
-from eitskin.training.paper.bend_angle import BendAngle
 from eitskin.training.paper.stages import (
+    BendAngle,
     Classifier,
     PostProcessor,
     Reconstruction,
@@ -38,7 +38,7 @@ from eitskin.training.paper.stages import (
     find_touches,
     signal_to_noise,
 )
-from eitskin.training.reconstruction.linear_model import linear_model
+from eitskin.training.reconstruction.pixel_grid import linear_model
 
 Array = NDArray[np.float64]
 

@@ -1,29 +1,38 @@
-"""Methods: those that come with eitskin, and custom ones, whose code is named, run and checked."""
+"""Methods: shipped ones, and custom ones, whose code is named, run and checked; their training."""
 
 import importlib.metadata
 import inspect
+import math
 import re
 import shlex
 import sys
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
+from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.schema import State
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.files import quote_value
+from eitskin.training.adaptation.press_fit import touch_places
 from eitskin.training.adaptation.touch_positions import TouchPositions
 from eitskin.training.baselines.greit_centroid import GreitMethod
 from eitskin.training.baselines.regressions import ExtraTreesMethod, MlpMethod, RidgeMethod
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import FILE_MODULE, Method
-from eitskin.training.method.observations import Observations
-from eitskin.training.method.settings import TrainingSettings
+from eitskin.training.method.observations import Observations, fingerprint
+from eitskin.training.method.sensor_health import ReadingRange, follow_recording
+from eitskin.training.method.settings import POSITIONS, Progress, TrainingSettings
+from eitskin.training.method.targets import TrainingFrames, learnable
 from eitskin.training.paper.method import PaperMethod
+from eitskin.training.pipeline.flat_sensors import FlatSensors
 
 GROUP = "eitskin.methods"
 """Group of the entry points by which installed packages offer methods."""
@@ -46,6 +55,11 @@ SHIPPED_METHODS: dict[str, type[Method]] = {
 
 
 _CLASS = re.compile(r"[^\W\d]\w*(\.(<locals>|[^\W\d]\w*))*")  # a class's qualified name
+FLAT_SENSORS = "flat_sensors"
+USUAL = "healthy"
+# Beginnings of names of arrays that are not the method's.
+FOREIGN = ("layout.", f"{FLAT_SENSORS}.", f"{USUAL}.")
+GOLDEN_PER_STATE = 2
 
 
 class MethodCodeError(ConfigurationError):
@@ -216,3 +230,74 @@ def require_sound(
                 f"{method.KIND}: expected from_arrays to restore what was fitted, got other values "
                 f"of '{name}'; arrays has to give everything that predict uses"
             )
+
+
+def trained_parts(
+    dataset: Dataset, settings: TrainingSettings, progress: Progress, method: type[Method] | None
+) -> dict[str, Any]:
+    """Attributes of the pipeline that `Pipeline.fit` gives, by their names."""
+    if method is not None:
+        settings = replace(settings, method=method.KIND)
+    if settings.method == POSITIONS:
+        return _positions_parts(dataset, settings, progress)
+    dataset, design, protocol = learnable(dataset)
+    seen, unseen, _ = settings.split(dataset)
+    train, validation = dataset.select(seen), dataset.select(unseen)
+    layout = InputSpec.from_dataset(train, design, protocol)
+    frames = TrainingFrames.from_dataset(train, layout, validation)
+    chosen = np.concatenate(
+        [np.flatnonzero(train.state == state)[:GOLDEN_PER_STATE] for state in State]
+    )
+    examples = frames.observations[chosen]
+    fitted = method_class(settings.method, method).fit(frames, settings, progress)
+    if method is not None:
+        require_sound(fitted, examples, layout, settings, FOREIGN)
+    return {
+        "layout": layout,
+        "method": fitted,
+        "noise": frames.noise,
+        "settings": settings,
+        "trained_on": {
+            "sha256": fingerprint(dataset),
+            "frames": len(train),
+            "specimens": len(np.unique(train.specimen)),
+            "source": dataset.source,
+        },
+        "examples": examples,
+        "flat_sensors": FlatSensors.from_dataset(train),
+        "usual": ReadingRange.fit(1.0 + frames.observations.static, reference=True),
+    }
+
+
+def _positions_parts(
+    dataset: Dataset, settings: TrainingSettings, progress: Progress
+) -> dict[str, Any]:
+    """Attributes of one for positions of touches alone, of the recorded sensor alone."""
+    train = follow_recording(dataset.select(settings.split(dataset)[0]))[0]
+    places = touch_places(train)
+    layout = InputSpec(
+        dataset.design,
+        dataset.protocol,
+        dataset.frequency if dataset.protocol else math.nan,
+        np.full(dataset.impedance.shape[1], np.nan),
+        extent=np.array([places.min(axis=0), places.max(axis=0)]) if len(places) else None,
+    )
+    frames = TrainingFrames(Observations.from_dataset(train), train, layout, math.nan)
+    method = TouchPositions.fit(frames, settings, progress)
+    trained_on = {
+        "sha256": fingerprint(dataset),
+        "frames": len(train),
+        "source": dataset.source,
+        **method.learned,
+    }
+    usual = ReadingRange.from_recording(train) if train.has_touch_reference.any() else None
+    examples = method.examples(train)
+    return {
+        "layout": layout,
+        "method": method,
+        "noise": method.noise,
+        "settings": settings,
+        "trained_on": trained_on,
+        "examples": examples,
+        "usual": usual,
+    }

@@ -33,9 +33,13 @@ from eitskin.training.method.stored_fields import arrays_with_prefix, prefix_arr
 from eitskin.training.method.targets import Targets, with_implied_labels
 from eitskin.training.pipeline.flat_sensors import FlatSensors
 from eitskin.training.pipeline.methods import (
+    FLAT_SENSORS,
+    FOREIGN,
+    USUAL,
     MethodCodeError,
     method_class,
     told_errors,
+    trained_parts,
 )
 from eitskin.training.pipeline.references import StoredReference
 from eitskin.training.pipeline.saved_form import (
@@ -46,7 +50,6 @@ from eitskin.training.pipeline.saved_form import (
     write_pipeline,
 )
 from eitskin.training.pipeline.session import COMMON, Session
-from eitskin.training.pipeline.trained_parts import FLAT_SENSORS, FOREIGN, USUAL, trained_parts
 
 
 @old_names(expected="expected_magnitudes", followed="mark_failures", stored="stored_reference")

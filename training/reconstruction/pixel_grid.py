@@ -1,9 +1,9 @@
-"""Pixels of images of a plane outline, and figures of merit and regions of an image on them."""
+"""Pixels of images of an outline: linear model, figures of merit, and regions of an image."""
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
-from typing import NamedTuple
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,8 +15,15 @@ from eitskin.bounds import LEAST, MOST, require_axes
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.extras import old_names
 from eitskin.geometry.design.outline import Outline, PlaneOutline
+from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.geometry.meshing.mesh_body import MeshOutline
+from eitskin.protocol import Protocol
+
+if TYPE_CHECKING:
+    from eitskin.simulator.electrical.forward_model import ForwardModel
+    from eitskin.simulator.electrical.resolution import Discretisation, Resolution
+
 
 Array = NDArray[np.float64]
 
@@ -304,3 +311,61 @@ def picture_regions(values: Array, grid: PixelGrid) -> list[PictureRegion]:
             change = float(np.maximum(values[grid.inside][mine], -1.0).mean())
             regions.append(PictureRegion(sign, float(mine.sum() * grid.area), (x, y), change))
     return sorted(regions, key=lambda region: -region.area)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearModel:
+    """Measurements of the flat, untouched sensor to first order in the conductivity of pixels.
+
+    Attributes:
+        impedance: impedance at the nominal conductivity (measurements,) [ohm].
+        sensitivity: derivative by the logarithm of each pixel's conductivity, (measurements,
+            pixels) [ohm]; all pixels of the bounding box, row by row.
+    """
+
+    impedance: NDArray[np.inexact]
+    sensitivity: NDArray[np.inexact]
+
+    @property
+    def relative(self) -> Array:
+        """Relative Jacobian (measurements, pixels), d log R / d log sigma, dimensionless."""
+        R = np.real(self.impedance)
+        J: Array = np.real(self.sensitivity).astype(float) / R[:, None]
+        return J
+
+
+@lru_cache(maxsize=4)  # several pipelines and pictures are made for one sensor
+def linear_model(
+    design: "SensorDesign | ForwardModel",
+    protocol: Protocol,
+    pixels: tuple[int, int],
+    resolution: "Resolution | Discretisation" = "fast",
+) -> LinearModel:
+    """Linear model of the nominal sensor; all callers share the arrays.
+
+    dR = - int grad u_drive . sigma grad u_sense d sigma / sigma (adjoint method, Geselowitz 1971).
+
+    Args:
+        design: the sensor, or a model of it, whose resolution then counts.
+        protocol: the measurements.
+        pixels: number of rows along y and of columns along x.
+        resolution: resolution of the forward model.
+    """
+    # A trained pipeline runs without: this takes longer to import than all the rest of it.
+    from eitskin.simulator.electrical.sensor_impedances import model_family
+
+    def conductivity(x: Array) -> Array:
+        own = design if isinstance(design, SensorDesign) else design.design
+        return np.asarray(own.evaluate_conductivity(x))[..., None, None] * np.eye(3)
+
+    if isinstance(design, SensorDesign):
+        model, sigma = model_family(design, resolution).base, conductivity
+    else:
+        model, sigma = design, None
+    cells = np.asarray(getattr(model.design, "conductivity", 0.0))
+    along = cells if cells.ndim == 1 else conductivity
+    sensitivity = model.sensitivity(protocol, sigma, pixels, along=along)
+    impedance = protocol.measure(model.impedance(sigma))
+    for values in (sensitivity, impedance):
+        values.flags.writeable = False
+    return LinearModel(impedance, sensitivity)

@@ -15,20 +15,17 @@ from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 from eitskin.training.method.input_spec import MIN_CHANNELS, require_usable, usable_values
 from eitskin.training.method.observations import relative_difference
-from eitskin.training.reconstruction.linear_model import LinearModel, linear_model
-from eitskin.training.reconstruction.picture_methods import (
-    Prior,
-    desired_radius,
-    greit,
-    least_variation,
-    prior_matrix,
-)
-from eitskin.training.reconstruction.pixel_grid import PIXELS, PixelGrid
+from eitskin.training.reconstruction.pixel_grid import PIXELS, LinearModel, PixelGrid, linear_model
 from eitskin.training.reconstruction.regularised_inverse import (
+    Prior,
     Regularisation,
     RegularisedInverse,
+    desired_radius,
     gauss_newton,
+    greit,
+    least_variation,
     noser_weights,
+    prior_matrix,
 )
 
 Array = NDArray[np.float64]

@@ -10,8 +10,8 @@ import pytest
 
 from eitskin.cli.page.commands import stage_commands
 from eitskin.cli.page.drawing import FACE, INSIDE, DrawnBody, GelDrawing, GelShape
+from eitskin.cli.page.live_page import fill_bad_channels, relative_change
 from eitskin.cli.page.plan import Region, grid_spacing, plan_outline
-from eitskin.cli.page.state import fill_bad_channels, relative_change
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Clamp, Hinge, SensorDesign
 from eitskin.geometry.design.contact_areas import Pad, contact_areas

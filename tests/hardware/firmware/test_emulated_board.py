@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from eitskin.hardware.protocol import messages
-from eitskin.hardware.protocol.frame_parts import FrameData
-from eitskin.hardware.protocol.packets import MessageType, Packet, encode
+from eitskin.hardware.protocol.packets import FrameData, MessageType, Packet, encode
 from eitskin.simulator import Status
 
 from compiled_firmware import booted, frames, sensor

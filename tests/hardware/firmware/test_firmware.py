@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eitskin.hardware.protocol.frame_parts import FrameData
 from eitskin.hardware.protocol.messages import (
     Ack,
     AckStatus,
@@ -28,6 +27,7 @@ from eitskin.hardware.protocol.packets import (
     MAX_PACKET,
     MAX_PAYLOAD,
     Decoder,
+    FrameData,
     MessageType,
     Packet,
     encode,

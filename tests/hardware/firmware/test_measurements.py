@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from eitskin.hardware.protocol.frame_parts import PER_PACKET, FrameData, FramePart
 from eitskin.hardware.protocol.messages import (
     Ack,
     AckStatus,
@@ -17,7 +16,15 @@ from eitskin.hardware.protocol.messages import (
     pack,
     unpack,
 )
-from eitskin.hardware.protocol.packets import Decoder, MessageType, Packet, encode
+from eitskin.hardware.protocol.packets import (
+    PER_PACKET,
+    Decoder,
+    FrameData,
+    FramePart,
+    MessageType,
+    Packet,
+    encode,
+)
 from eitskin.simulator import Protocol, Status
 from eitskin.simulator.instrument.ad5940 import CODES, FrontEnd
 

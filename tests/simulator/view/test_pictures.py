@@ -15,16 +15,14 @@ from eitskin.geometry.meshing.mesh_design import mesh_design
 from eitskin.simulator import ForwardModel, Scene, Touch
 from eitskin.simulator.view import drawing
 from eitskin.simulator.view import scene_pictures as view
-from eitskin.simulator.view.model_pictures import (
-    draw_drive,
-    draw_mesh,
-    height_inside,
-    in_front,
-)
 from eitskin.simulator.view.scene_pictures import (
     conductance_change,
     deformed_current_density,
+    draw_drive,
+    draw_mesh,
     draw_scenes,
+    height_inside,
+    in_front,
     indenter_surfaces,
     most_sensitive_pair,
 )

@@ -11,11 +11,11 @@ from eitskin.threads import one_torch_thread
 from eitskin.training.method.network_training import Samples, train_network
 from eitskin.training.method.observations import MissingChannels
 from eitskin.training.method.settings import NetworkSettings, TrainingSettings
-from eitskin.training.paper.bend_angle import BendAngle
 from eitskin.training.paper.layers import Network, state_layers, touch_map_layers
 from eitskin.training.paper.networks import layer_network, mirror_samples, network_weights
 from eitskin.training.paper.stages import (
     MAX_SNR,
+    BendAngle,
     Classifier,
     Reconstruction,
     find_touches,

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin.training.pipeline.earlier_touches import EarlierTouches
-from eitskin.training.pipeline.held_touch import MAX_HELD_FRAMES
+from eitskin.training.pipeline.held_touch import MAX_HELD_FRAMES, EarlierTouches
 
 RNG = np.random.default_rng(0)
 FLAT = RNG.uniform(10.0, 90.0, 28).astype(complex)

@@ -12,14 +12,18 @@ from eitskin.geometry.design.outline import Disc, Polygon, Rectangle
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.protocol import Protocol
-from eitskin.training.reconstruction.picture_methods import least_variation, prior_matrix
 from eitskin.training.reconstruction.pixel_grid import PixelGrid, figures_of_merit, picture_regions
 from eitskin.training.reconstruction.reconstructor import (
     Method,
     Reconstructor,
     silent_channels,
 )
-from eitskin.training.reconstruction.regularised_inverse import Regularisation, gauss_newton
+from eitskin.training.reconstruction.regularised_inverse import (
+    Regularisation,
+    gauss_newton,
+    least_variation,
+    prior_matrix,
+)
 
 RADIUS = 0.05
 COARSE = ((2, 1), Grading(4e-3, 0.02, 1.5, layers=1))
