@@ -66,9 +66,8 @@ def fit_instrument(
     Flat frames of a dataset are its references before touches, else its idle frames, else all
     frames. docs/how-to/train-and-adapt.md explains the result.
     """
-    from eitskin.simulator.instrument.fit_parameters import USUAL
     from eitskin.simulator.instrument.instrument import snr_db
-    from eitskin.simulator.instrument.meter import Quantity
+    from eitskin.simulator.instrument.meter import USUAL, Quantity
     from eitskin.simulator.instrument.meter_fit import agreement
 
     quantity: Quantity | None = reads

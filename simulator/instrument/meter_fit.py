@@ -12,14 +12,15 @@ from scipy.optimize import least_squares
 from eitskin.bounds import require_axes, require_positive, require_seed
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.protocol import Protocol
-from eitskin.simulator.instrument.fit_parameters import (
+from eitskin.simulator.instrument.meter import (
     USUAL,
+    FourTerminalMeter,
     Parameter,
+    Quantity,
     central_differences,
     meter_from_coordinates,
     meter_parameters,
 )
-from eitskin.simulator.instrument.meter import FourTerminalMeter, Quantity
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -13,11 +13,12 @@ from eitskin.training.method.input_spec import require_usable
 from eitskin.training.method.observations import Observations, relative_difference
 from eitskin.training.method.predictions import Predictions, Zero
 from eitskin.training.method.sensor_health import ReadingRange, SensorHealth
-from eitskin.training.pipeline.frame_order import MAX_GAP, SessionOrder
 from eitskin.training.pipeline.held_touch import MAX_HELD_FRAMES, EarlierTouches, HeldTouch, Phases
 from eitskin.training.pipeline.references import (
+    MAX_GAP,
     MAX_MEAN_FRAMES,
     RunningMean,
+    SessionOrder,
     StoredReference,
     Voltages,
 )

@@ -16,7 +16,7 @@ from eitskin.datasets.recipe.specimen import Specimen
 from eitskin.geometry import ConfigurationError, EitskinError
 from eitskin.simulator import FourTerminalMeter, Scene, Simulator
 from eitskin.simulator.electrical.resolution import Resolution
-from eitskin.simulator.instrument.fit_parameters import Parameter, meter_from_coordinates
+from eitskin.simulator.instrument.meter import Parameter, meter_from_coordinates
 from eitskin.training.twin.labelled_frames import KINDS, LabelledFrames
 from eitskin.training.twin.parameters import MECHANICAL, with_numbers
 

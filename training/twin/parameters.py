@@ -21,7 +21,7 @@ from eitskin.geometry import Clamp, ConfigurationError, FreeArc, Rectangle, Sens
 from eitskin.geometry.deformation.electrode_shift import electrode_shift
 from eitskin.geometry.design.dispersion import resolve_conductivity
 from eitskin.simulator import SensorGrid
-from eitskin.simulator.instrument.fit_parameters import Parameter, meter_parameters
+from eitskin.simulator.instrument.meter import Parameter, meter_parameters
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
 
 _TRIAL = 1e-4  # shift of an electrode that shows whether it can be moved on the mesh [m]

@@ -24,7 +24,7 @@ from eitskin.simulator import (
 )
 from eitskin.simulator.deformation.sensor_grid import read_fixed
 from eitskin.simulator.electrical.resolution import Resolution
-from eitskin.simulator.instrument.fit_parameters import Parameter
+from eitskin.simulator.instrument.meter import Parameter
 from eitskin.simulator.instrument.meter_fit import Agreement, agreement
 from eitskin.training.twin.fit import Laplace, TwinProblem
 from eitskin.training.twin.labelled_frames import LabelledFrames, labelled_frames

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from eitskin.hardware.ros2.mcap import McapWriter
     from eitskin.hardware.ros2.skin_node import SkinNode
     from eitskin.hardware.streams import ReadingPublisher
-    from eitskin.training.pipeline.frame_order import SessionOrder
+    from eitskin.training.pipeline.references import SessionOrder
 
 
 class Recording:
@@ -229,7 +229,7 @@ class LiveSession:
 
     def notice_session(self, frame: "simulator.Frame") -> None:
         """Note the beginning of a session, and findings on the sensor there."""
-        from eitskin.training.pipeline.frame_order import SessionOrder
+        from eitskin.training.pipeline.references import SessionOrder
 
         self.order = self.order or SessionOrder()
         step = self.order.follow(frame)

@@ -7,7 +7,7 @@ import pytest
 
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.simulator import FourTerminalMeter, Instrument, Protocol, Status
-from eitskin.simulator.instrument.fit_parameters import FIT_PARAMETERS, Parameter
+from eitskin.simulator.instrument.meter import FIT_PARAMETERS, Parameter
 from eitskin.simulator.instrument.meter_fit import agreement, fit_meter, select_meter
 
 FOUR = Protocol(((0, 3, 1, 2),), 4)

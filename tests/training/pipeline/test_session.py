@@ -16,9 +16,8 @@ from eitskin.simulator import Frame, Protocol, Scene, Simulator, Touch
 from eitskin.training import StoredReference, Zero
 from eitskin.training.method.observations import relative_difference
 from eitskin.training.pipeline.flat_sensors import FALSE_ALARM, MIN_SPECIMENS, FlatSensors
-from eitskin.training.pipeline.frame_order import MAX_ELAPSED_TIME, SessionOrder
 from eitskin.training.pipeline.held_touch import HeldTouch
-from eitskin.training.pipeline.references import MAX_MEAN_FRAMES
+from eitskin.training.pipeline.references import MAX_ELAPSED_TIME, MAX_MEAN_FRAMES, SessionOrder
 from eitskin.training.pipeline.session import Session
 
 NOISE = 3e-4  # of the difference of two frames
