@@ -19,14 +19,12 @@ from eitskin.cli.commands.live.session import LiveSession, Recording, touch_pict
 from eitskin.cli.options import Output, opened_board
 from eitskin.datasets import ShardWriter, open_dataset
 from eitskin.errors import PartialError
-from eitskin.geometry import SensorDesign
-from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry import Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.hardware import Connection, Counts, Reading
 from eitskin.hardware.ros2 import skin_node
 from eitskin.simulator import Protocol, Status
-from eitskin.training import InputSpec
-from eitskin.training.method.predictions import Zero
+from eitskin.training import InputSpec, Zero
 
 from live_fakes import PROTOCOL, Estimate, FakePipeline, frame, run_command
 

@@ -9,9 +9,8 @@ import pytest
 from eitskin.cli.live_pictures import CALM, REFERENCE, LivePictures
 from eitskin.cli.page.live_page import signed_pixels
 from eitskin.errors import ConfigurationError, FrameError
-from eitskin.frame import Frame
 from eitskin.geometry import SensorDesign
-from eitskin.protocol import Protocol
+from eitskin.simulator import Frame, Protocol
 from eitskin.training import Reconstructor
 
 from live_fakes import FakePipeline

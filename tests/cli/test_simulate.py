@@ -5,8 +5,7 @@ import json
 import command_line
 import pytest
 
-from eitskin.geometry import SensorDesign
-from eitskin.geometry.deformation.fixtures import FreeArc, Hinge
+from eitskin.geometry import FreeArc, Hinge, SensorDesign
 from eitskin.simulator import Mechanics, Protocol, Scene, Simulator
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 from eitskin.simulator.mechanics.materials import NeoHookean

@@ -17,7 +17,7 @@ from scipy.sparse import csc_matrix
 from eitskin.datasets import State, open_dataset, read_recording
 from eitskin.datasets.recordings.protocols import in_order
 from eitskin.errors import DataError
-from eitskin.protocol import Protocol
+from eitskin.simulator import Protocol
 
 pytestmark = pytest.mark.usefixtures("reads_here")
 N = 8

@@ -29,9 +29,8 @@ from eitskin.geometry import (
     Plates,
     SensorDesign,
 )
-from eitskin.simulator import FourTerminalMeter, Instrument, Mechanics, Protocol
+from eitskin.simulator import Cylinder, FourTerminalMeter, Instrument, Mechanics, Protocol, Sphere
 from eitskin.simulator.mechanics.materials import Ogden
-from eitskin.simulator.scene.indenters import Cylinder, Sphere
 
 IDLE = SceneGroup("idle", count=30)
 BENT = SceneGroup("bend", count=60, angle_deg=(-20.0, 50.0))

@@ -19,11 +19,10 @@ from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import MAX_DEVIATIONS, Mounts, Specimens
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Clamp, Electrode, Hinge, Layer, Plates, SensorDesign
-from eitskin.simulator import Cylinder, FourTerminalMeter, Instrument, Mechanics
+from eitskin.simulator import Cylinder, FourTerminalMeter, Instrument, Mechanics, SensorGrid
 from eitskin.simulator.deformation import press_table as tables
 from eitskin.simulator.deformation import solution_store
 from eitskin.simulator.deformation.press_table import PressTable, press_table
-from eitskin.simulator.deformation.sensor_grid import SensorGrid
 
 DESIGN = SensorDesign.reference()
 SPREAD = Specimens(

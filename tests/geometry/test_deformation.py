@@ -8,9 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Bend, Electrode, Hinge, Rectangle, SensorDesign
+from eitskin.geometry import Bend, Electrode, FreeArc, Hinge, Rectangle, Roll, SensorDesign, Twist
 from eitskin.geometry.deformation.electrode_shift import electrode_shift
-from eitskin.geometry.deformation.fixtures import FreeArc, Roll, Twist
 from eitskin.geometry.deformation.kinematics import (
     WHOLE_TENSOR,
     Composition,

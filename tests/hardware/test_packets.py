@@ -9,13 +9,13 @@ from cobs import cobs
 from hypothesis import given
 from hypothesis import strategies as st
 
+from eitskin.hardware import Info
 from eitskin.hardware.protocol.messages import (
     Ack,
     Calibrate,
     Event,
     GetTable,
     Hello,
-    Info,
     Start,
     Stop,
     Table,

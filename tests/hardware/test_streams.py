@@ -18,7 +18,7 @@ from websockets.sync.client import connect
 
 from eitskin.errors import ConfigurationError
 from eitskin.hardware import Connection, Reading, streams
-from eitskin.training.method.predictions import FoundTouches
+from eitskin.training import FoundTouches
 
 from live_fakes import Estimate, FakeBoard, frame
 

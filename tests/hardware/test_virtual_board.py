@@ -9,13 +9,12 @@ import pytest
 from eitskin.errors import DeviceError
 from eitskin.geometry import Bend, Disc, Hinge, Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
-from eitskin.hardware import Connection, Script, SerialBoard, Step, open_board
+from eitskin.hardware import Connection, Script, SerialBoard, Stage, Step, VirtualBoard, open_board
 from eitskin.hardware.protocol.messages import Ack, GetTable, Start, pack, unpack
 from eitskin.hardware.protocol.packets import Decoder, FrameData, MessageType, Packet, encode
 from eitskin.hardware.virtual.fault_table import read_faults
 from eitskin.hardware.virtual.memory_line import MemoryLine
-from eitskin.hardware.virtual.stage import SimulatedSensor, Stage
-from eitskin.hardware.virtual.virtual_board import VirtualBoard
+from eitskin.hardware.virtual.stage import SimulatedSensor
 from eitskin.simulator import (
     FourTerminalMeter,
     Instrument,

@@ -35,12 +35,12 @@ from eitskin.simulator import (
     Profile,
     Protocol,
     Scene,
+    SensorGrid,
     Simulator,
     Sphere,
     Touch,
 )
 from eitskin.simulator.deformation.pressed_sensor import PressedSensor
-from eitskin.simulator.deformation.sensor_grid import SensorGrid
 from eitskin.simulator.deformation.touches import pressed_touches
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity, Sheet, Stack

@@ -16,7 +16,8 @@ from pathlib import Path
 import pytest
 
 from eitskin import hardware
-from eitskin.hardware.protocol.messages import Ack, Info, Start, pack, unpack
+from eitskin.hardware import Info
+from eitskin.hardware.protocol.messages import Ack, Start, pack, unpack
 from eitskin.hardware.protocol.packets import Decoder, MessageType, encode
 from eitskin.hardware.virtual.memory_line import MemoryLine, PseudoTerminal
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from eitskin.training import Observations
 from eitskin.training.method.known_frames import KnownFrames
-from eitskin.training.method.observations import Observations
 
 
 def known_frames(flat, flat_frames, change, angle_deg, *, touches=None, before=None, age=0.0):

@@ -5,9 +5,8 @@ import itertools
 
 import numpy as np
 
-from eitskin.hardware import SerialBoard, open_board
+from eitskin.hardware import SerialBoard, Stage, open_board
 from eitskin.hardware.protocol.packets import Decoder
-from eitskin.hardware.virtual.stage import Stage
 from eitskin.hardware.virtual.virtual_firmware import VirtualFirmware
 from eitskin.simulator import Protocol
 

@@ -14,7 +14,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, SensorDesign
 from eitskin.hardware import Counts, Reading
 from eitskin.simulator import Frame, Protocol, Scene, Touch
-from eitskin.training.method.predictions import TouchEstimate
+from eitskin.training import TouchEstimate
 
 from live_fakes import Estimate
 

@@ -3,10 +3,11 @@
 import numpy as np
 
 from eitskin.geometry import SensorDesign
+from eitskin.training import InputSpec
 from eitskin.training.joint.combinations import SpecimenFeatures
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.networks import ProposalNetwork
-from eitskin.training.method.input_spec import InputSpec, mirrors
+from eitskin.training.method.input_spec import mirrors
 
 from smooth_sensor import FLAT, MEASUREMENTS, PROTOCOL, SIZE, TOUCH_PRIOR, curves, places, response
 

@@ -12,15 +12,19 @@ from touched_dataset import touched_dataset
 from eitskin.datasets import Dataset, State
 from eitskin.errors import ConfigurationError, DataError, FrameError
 from eitskin.geometry import Disc, Hinge, SensorDesign
-from eitskin.protocol import Protocol
-from eitskin.simulator import Frame, Scene, Touch
+from eitskin.simulator import Frame, Protocol, Scene, Touch
 from eitskin.training import (
     FrameLabel,
+    InputSpec,
+    NetworkSettings,
     Pipeline,
+    PixelGrid,
+    Regularisation,
     StoredReference,
     TouchLabel,
     TrainingSettings,
     Twin,
+    TwinPrior,
     Zero,
 )
 from eitskin.training.evaluation.cramer_rao import (
@@ -29,17 +33,13 @@ from eitskin.training.evaluation.cramer_rao import (
     scene_derivatives,
 )
 from eitskin.training.joint.frame_predictions import ErrorScale
-from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.known_frames import KnownFrames
-from eitskin.training.method.settings import NetworkSettings
 from eitskin.training.method.targets import require_targets
 from eitskin.training.paper.stages import BendAngle, Reconstruction
 from eitskin.training.pipeline.methods import MethodCodeError, method_class, named_method
 from eitskin.training.pipeline.references import FORMAT_VERSION
-from eitskin.training.reconstruction.pixel_grid import PixelGrid, figures_of_merit
-from eitskin.training.reconstruction.regularised_inverse import Regularisation
+from eitskin.training.reconstruction.pixel_grid import figures_of_merit
 from eitskin.training.twin.labelled_frames import labelled_frames
-from eitskin.training.twin.parameters import TwinPrior
 
 from made_up_sensor import frames
 from smooth_sensor import FLAT, PROTOCOL

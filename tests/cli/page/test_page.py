@@ -20,7 +20,7 @@ from eitskin.cli.page.server import KINDS, MAX_CLIENTS, ClientLimits
 from eitskin.errors import ConfigurationError
 from eitskin.hardware import Reading
 from eitskin.simulator import Frame
-from eitskin.training.method.predictions import TouchEstimate
+from eitskin.training import TouchEstimate
 
 from page_fakes import DESIGN, PROTOCOL, FakeEstimate, Info, Stream, ask, port_of, post, reading
 

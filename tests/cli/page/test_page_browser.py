@@ -13,7 +13,7 @@ from eitskin.cli.page.plan import Region
 from eitskin.datasets import ShardWriter, State
 from eitskin.errors import ConfigurationError
 from eitskin.hardware import ReplayBoard
-from eitskin.training.method.predictions import TouchEstimate
+from eitskin.training import TouchEstimate
 
 from chromium import Size, Tab, chromium
 from page_fakes import (

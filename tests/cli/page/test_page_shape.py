@@ -13,13 +13,10 @@ from eitskin.cli.page.drawing import FACE, INSIDE, DrawnBody, GelDrawing, GelSha
 from eitskin.cli.page.live_page import fill_bad_channels, relative_change
 from eitskin.cli.page.plan import Region, grid_spacing, plan_outline
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Bend, Clamp, Hinge, SensorDesign
+from eitskin.geometry import Bend, Clamp, Disc, Electrode, Hinge, Polygon, SensorDesign, Surface
 from eitskin.geometry.design.contact_areas import Pad, contact_areas
-from eitskin.geometry.design.electrode import Electrode
-from eitskin.geometry.design.outline import Disc, Polygon
 from eitskin.geometry.design.patches import area_vectors
 from eitskin.geometry.design.regular_layouts import uniform
-from eitskin.geometry.design.surface import Surface
 from eitskin.simulator import Frame, Mechanics, Touch
 from eitskin.simulator.bends import bend_table
 from eitskin.simulator.deformation.touches import sketched_dents

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from eitskin.hardware import Info
 from eitskin.hardware.protocol.messages import (
     Ack,
     AckStatus,
     Event,
     GetTable,
     Hello,
-    Info,
     Start,
     Stop,
     Table,

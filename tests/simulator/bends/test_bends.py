@@ -10,11 +10,10 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Clamp, Disc, FreeArc, Hinge, Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.simulator import Mechanics, Simulator
+from eitskin.simulator import Mechanics, SensorGrid, Simulator
 from eitskin.simulator.bends import bend_3d, bend_table
 from eitskin.simulator.bends.bend_3d import ClampedStack
 from eitskin.simulator.bends.bend_table import BendTable, bend_problems, tabulate_bends
-from eitskin.simulator.deformation.sensor_grid import SensorGrid
 from eitskin.simulator.deformation.solution_store import missing, prepare
 from eitskin.simulator.mechanics.load_stepping import SolidError
 from eitskin.simulator.mechanics.materials import NeoHookean

@@ -15,14 +15,23 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Hinge, Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import grid, uniform
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.simulator import EXACT, ForwardModel, Mechanics, Protocol, Scene, Simulator, Touch
+from eitskin.simulator import (
+    EXACT,
+    Cylinder,
+    ForwardModel,
+    Mechanics,
+    Protocol,
+    Scene,
+    Simulator,
+    Sphere,
+    Touch,
+)
 from eitskin.simulator.electrical.batch import TOLERANCE, BatchSolver, LayerFields
 from eitskin.simulator.electrical.deformed_layer import DeformedLayer
 from eitskin.simulator.electrical.function_space import estimated_memory
 from eitskin.simulator.electrical.resolution import discretisation, press_length, suited_cells
 from eitskin.simulator.electrical.sensor_impedances import SensorImpedances
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
-from eitskin.simulator.scene.indenters import Cylinder, Sphere
 
 from contacts import with_contacts
 

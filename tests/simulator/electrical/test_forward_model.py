@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Electrode, Rectangle, SensorDesign
-from eitskin.geometry.design.outline import Disc
+from eitskin.geometry import Disc, Electrode, Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.mesh_design import Grading
 from eitskin.simulator import ForwardModel, Protocol

@@ -12,14 +12,15 @@ from eitskin.geometry import (
     Disc,
     Electrode,
     Free,
+    FreeArc,
     Plates,
     Rectangle,
     Rigid,
+    Roll,
     SensorDesign,
     Substrate,
     Twist,
 )
-from eitskin.geometry.deformation.fixtures import FreeArc, Roll
 from eitskin.geometry.deformation.kinematics import Displaced
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import (

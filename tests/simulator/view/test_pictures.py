@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Bend, Disc, Electrode, SensorDesign
-from eitskin.geometry.deformation.fixtures import Twist
+from eitskin.geometry import Bend, Disc, Electrode, SensorDesign, Twist
 from eitskin.geometry.deformation.kinematics import Displaced, largest_strain
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh_design import mesh_design

@@ -12,9 +12,7 @@ from toy_skin import toy_presses
 from eitskin.cli.commands import train
 from eitskin.datasets import RecordingNames, State, read_recording, save_dataset
 from eitskin.errors import DataError, UnusableFrameError
-from eitskin.geometry import SensorDesign
-from eitskin.geometry.design.electrode import Electrode
-from eitskin.geometry.design.outline import Disc
+from eitskin.geometry import Disc, Electrode, SensorDesign
 from eitskin.simulator import Frame, Protocol
 from eitskin.training import Pipeline, PositionScore, TrainingSettings, open_pipeline
 from eitskin.training.adaptation import sheet

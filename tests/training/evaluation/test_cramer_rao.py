@@ -9,8 +9,7 @@ from scipy.special import erf
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, SensorDesign
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.simulator import Instrument, Scene, Simulator, Touch
-from eitskin.simulator.instrument.meter import FourTerminalMeter
+from eitskin.simulator import FourTerminalMeter, Instrument, Scene, Simulator, Touch
 from eitskin.training.evaluation.cramer_rao import (
     cramer_rao_bound,
     mean_distance,

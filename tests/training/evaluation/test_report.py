@@ -17,7 +17,16 @@ from eitskin.datasets import State, touch_maps
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
-from eitskin.training import FoundTouches, Pipeline, Predictions, TrainingSettings
+from eitskin.training import (
+    FoundTouches,
+    InputSpec,
+    Method,
+    Observations,
+    Pipeline,
+    Predictions,
+    Targets,
+    TrainingSettings,
+)
 from eitskin.training.evaluation import report as report_folder
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.report import (
@@ -34,10 +43,6 @@ from eitskin.training.evaluation.scores import (
     root_mean_square,
     similarity,
 )
-from eitskin.training.method.input_spec import InputSpec
-from eitskin.training.method.interface import Method
-from eitskin.training.method.observations import Observations
-from eitskin.training.method.targets import Targets
 
 FLAT = np.linspace(400.0, 820.0, 28)
 NAN = float("nan")

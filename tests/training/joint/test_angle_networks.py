@@ -5,6 +5,7 @@ import pytest
 from made_up_frames import made_up_frames
 
 from eitskin.threads import one_torch_thread
+from eitskin.training import NetworkSettings
 from eitskin.training.joint import angle_training
 from eitskin.training.joint.angle_training import fit_angles
 from eitskin.training.joint.bend_curve import BendCurvePrior
@@ -20,7 +21,7 @@ from eitskin.training.joint.specimen_model import (
     estimate_angle,
 )
 from eitskin.training.joint.training import TrainingRun, fit_bends
-from eitskin.training.method.settings import JointSettings, NetworkSettings, silent
+from eitskin.training.method.settings import JointSettings, silent
 
 CHANNELS, NOISE = 6, 1e-4
 SETTINGS = NetworkSettings(1e-2, epochs=30, batch=128)

@@ -8,8 +8,8 @@ from known_frames import known_frames
 from smooth_joint import LAYOUT, smooth_method
 
 from eitskin.datasets import State
+from eitskin.training import Observations
 from eitskin.training.joint.method import JointMethod
-from eitskin.training.method.observations import Observations
 
 from smooth_sensor import FLAT, NOISE, PROTOCOL, TOUCH_PRIOR, powers
 

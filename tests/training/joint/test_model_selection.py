@@ -19,6 +19,7 @@ from one_frame import (
 )
 from scipy.stats import norm
 
+from eitskin.training import FoundTouches
 from eitskin.training.joint.frame_predictions import (
     STRANGEST,
     ErrorScale,
@@ -28,7 +29,6 @@ from eitskin.training.joint.frame_predictions import (
 from eitskin.training.joint.model_selection import fit_frame
 from eitskin.training.joint.objective import Unknowns
 from eitskin.training.joint.touch_search import TOUCH_THRESHOLD, TouchCandidates
-from eitskin.training.method.predictions import FoundTouches
 
 from smooth_sensor import (
     RANGES,

@@ -11,6 +11,14 @@ from eitskin.datasets import Dataset, State
 from eitskin.errors import DataError
 from eitskin.geometry import SensorDesign
 from eitskin.threads import one_torch_thread
+from eitskin.training import (
+    InputSpec,
+    NetworkSettings,
+    Observations,
+    Targets,
+    TrainingFrames,
+    TrainingSettings,
+)
 from eitskin.training.joint import touch_training
 from eitskin.training.joint import (
     training as joint_training,
@@ -18,10 +26,7 @@ from eitskin.training.joint import (
 from eitskin.training.joint.frame_predictions import ErrorScale
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.training import fit_joint, held_out_touches
-from eitskin.training.method.input_spec import InputSpec
-from eitskin.training.method.observations import Observations
-from eitskin.training.method.settings import JointSettings, NetworkSettings, TrainingSettings
-from eitskin.training.method.targets import Targets, TrainingFrames
+from eitskin.training.method.settings import JointSettings
 
 from smooth_sensor import (
     FLAT,

@@ -5,7 +5,7 @@ import pytest
 from made_up_frames import made_up_frames
 from scipy.stats import multivariate_normal
 
-from eitskin.protocol import Protocol
+from eitskin.simulator import Protocol
 from eitskin.training.joint.bend_curve import RANDOM_POWERS, BendCurvePrior
 from eitskin.training.joint.channel_faults import possible_faults
 from eitskin.training.joint.clamps import usual_curves

@@ -9,8 +9,7 @@ from eitskin.datasets import State
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Frame
-from eitskin.training import FrameLabel, Pipeline, TouchLabel
-from eitskin.training.method.input_spec import InputSpec
+from eitskin.training import FrameLabel, InputSpec, Pipeline, TouchLabel
 from eitskin.training.method.interface import Calibration
 from eitskin.training.method.known_frames import KnownFrames
 

@@ -8,19 +8,14 @@ import numpy as np
 import pytest
 from touched_dataset import touched_dataset
 
-from eitskin.datasets import Dataset, State
-from eitskin.datasets.store.schema import UNKNOWN_STATE
+from eitskin.datasets import UNKNOWN_STATE, Dataset, State
 from eitskin.errors import FrameError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
-from eitskin.training import FoundTouches
-from eitskin.training.method.input_spec import InputSpec
-from eitskin.training.method.observations import Observations, channel_noise, frame_noise
-from eitskin.training.method.settings import TrainingSettings, hold_out
-from eitskin.training.method.targets import (
-    Targets,
-    with_implied_labels,
-)
+from eitskin.training import FoundTouches, InputSpec, Observations, Targets, TrainingSettings
+from eitskin.training.method.observations import channel_noise, frame_noise
+from eitskin.training.method.settings import hold_out
+from eitskin.training.method.targets import with_implied_labels
 
 TRUE = np.geomspace(1e-3, 1e-1, 8)
 

@@ -8,9 +8,9 @@ import torch
 
 from eitskin.errors import ConfigurationError
 from eitskin.threads import one_torch_thread
+from eitskin.training import NetworkSettings, TrainingSettings
 from eitskin.training.method.network_training import Samples, train_network
 from eitskin.training.method.observations import MissingChannels
-from eitskin.training.method.settings import NetworkSettings, TrainingSettings
 from eitskin.training.paper.layers import Network, state_layers, touch_map_layers
 from eitskin.training.paper.networks import layer_network, mirror_samples, network_weights
 from eitskin.training.paper.stages import (

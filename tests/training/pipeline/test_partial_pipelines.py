@@ -11,13 +11,19 @@ from eitskin.datasets import State
 from eitskin.errors import ConfigurationError
 from eitskin.simulator import Frame
 from eitskin.threads import one_torch_thread
-from eitskin.training import NetworkSettings, Pipeline, TrainingSettings, evaluate, open_pipeline
+from eitskin.training import (
+    NetworkSettings,
+    Pipeline,
+    Targets,
+    TrainingSettings,
+    evaluate,
+    open_pipeline,
+)
 from eitskin.training.evaluation import selection
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.report import table_rows
 from eitskin.training.evaluation.selection import Selection, Trial, data_warnings, quantity_losses
 from eitskin.training.method import input_spec
-from eitskin.training.method.targets import Targets
 from eitskin.training.paper import method as paper_method
 
 from made_up_sensor import FLAT

@@ -6,20 +6,14 @@ import numpy as np
 import pytest
 
 from eitskin.errors import FrameError, UnusableFrameError
-from eitskin.frame import Frame
-from eitskin.geometry import SensorDesign
-from eitskin.geometry.design.outline import Disc, Polygon, Rectangle
+from eitskin.geometry import Disc, Polygon, Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.protocol import Protocol
-from eitskin.training.reconstruction.pixel_grid import PixelGrid, figures_of_merit, picture_regions
-from eitskin.training.reconstruction.reconstructor import (
-    Method,
-    Reconstructor,
-    silent_channels,
-)
+from eitskin.simulator import Frame, Protocol
+from eitskin.training import PixelGrid, Reconstructor, Regularisation
+from eitskin.training.reconstruction.pixel_grid import figures_of_merit, picture_regions
+from eitskin.training.reconstruction.reconstructor import Method, silent_channels
 from eitskin.training.reconstruction.regularised_inverse import (
-    Regularisation,
     gauss_newton,
     least_variation,
     prior_matrix,

@@ -6,28 +6,29 @@ import numpy as np
 import pytest
 
 from eitskin.config import write_toml
-from eitskin.datasets import Dataset, State
-from eitskin.datasets.recipe.recipe import Recipe
+from eitskin.datasets import Dataset, Recipe, State
 from eitskin.datasets.recipe.specimen import Specimen
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import SensorDesign
-from eitskin.geometry.deformation.fixtures import Bend, Clamp
-from eitskin.protocol import Protocol
-from eitskin.simulator import Mechanics, Scene, Simulator, Touch
-from eitskin.simulator.instrument.instrument import Instrument
-from eitskin.simulator.instrument.meter import FourTerminalMeter
-from eitskin.training import PressedTwin
+from eitskin.geometry import Bend, Clamp, SensorDesign
+from eitskin.simulator import (
+    FourTerminalMeter,
+    Instrument,
+    Mechanics,
+    Protocol,
+    Scene,
+    Simulator,
+    Touch,
+)
+from eitskin.training import PressedTwin, Twin, TwinPrior
 from eitskin.training.twin.files import as_plain, recipe, write_twin
 from eitskin.training.twin.fit import TwinProblem
 from eitskin.training.twin.labelled_frames import FLAT, LabelledFrames, labelled_frames
 from eitskin.training.twin.parameters import (
-    TwinPrior,
     instrument_parameters,
     interpolation_centre,
     sensor_parameters,
     twin_parameter,
 )
-from eitskin.training.twin.twin import Twin
 
 DESIGN = SensorDesign.reference()
 NOMINAL = interpolation_centre(Specimen(DESIGN, Clamp(), Mechanics()))
