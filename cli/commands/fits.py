@@ -231,7 +231,7 @@ def fit_twin(
     from eitskin.config import read_toml
     from eitskin.datasets.store.folder import new_folder
     from eitskin.simulator.deformation.sensor_grid import read_fixed
-    from eitskin.training.twin.files import as_plain, write_twin
+    from eitskin.training.twin.twin import as_plain, write_twin
 
     new_folder(out)
     sensor = geometry.SensorDesign.from_toml(design)
@@ -281,7 +281,7 @@ def _twin_rows(twin: "training.Twin") -> Iterator[tuple[str, ...]]:
 
 def _twin_remarks(twin: "training.Twin") -> Iterator[str]:
     """Sentences about what was left out, what is not identifiable, and the worst channel."""
-    from eitskin.training.twin.files import channel_residuals
+    from eitskin.training.twin.twin import channel_residuals
 
     if count := twin.frames.left_out:
         yield f"{count} frames have no label that a twin can use, and were left out"

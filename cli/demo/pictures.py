@@ -11,8 +11,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from eitskin.cli.page.drawing import INSIDE, METAL, GelShape
-from eitskin.cli.page.plan import plan_outline
+from eitskin.cli.page.drawing import INSIDE, METAL, GelShape, plan_outline
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import State
 from eitskin.extras import require

@@ -12,7 +12,7 @@ import numpy as np
 
 from eitskin import hardware
 from eitskin.bounds import require_in_range
-from eitskin.cli.page.plan import Region
+from eitskin.cli.page.drawing import Region
 from eitskin.config import Location, build
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from eitskin import hardware
 from eitskin.cli.page.access import Access
 from eitskin.cli.page.commands import SessionCommands, stage_commands
-from eitskin.cli.page.plan import Region
+from eitskin.cli.page.drawing import Region
 from eitskin.closeable import Closeable
 from eitskin.extras import require_all
 from eitskin.geometry.design.sensor import SensorDesign
@@ -28,8 +28,13 @@ from numpy.typing import NDArray
 
 from eitskin import simulator
 from eitskin.cli.page.commands import BEND_RANGE, FORCE_RANGE, MAX_TOUCHES
-from eitskin.cli.page.drawing import DrawnPress, GelDrawing, encode_numbers
-from eitskin.cli.page.plan import grid_spacing, plan_outline
+from eitskin.cli.page.drawing import (
+    DrawnPress,
+    GelDrawing,
+    encode_numbers,
+    grid_spacing,
+    plan_outline,
+)
 from eitskin.frame import Frame
 from eitskin.hardware.streams import bad_channels, state_name, zero_name
 

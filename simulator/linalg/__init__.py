@@ -1,5 +1,4 @@
 """Assembly and the direct solver of sparse symmetric systems, electrical and mechanical.
 
-`elimination_order` says in which blocks unknowns are eliminated, `multifrontal` eliminates them;
-`stiffness_pattern` assembles the matrices that nonlinear solves factorise.
+`elimination_order` says in which blocks unknowns are eliminated, `multifrontal` eliminates them.
 """

@@ -107,8 +107,8 @@ def command(
         session.connection.tell = session.say
         if page.page:
             from eitskin.cli.commands.live.tasks import SessionTasks
+            from eitskin.cli.page.drawing import sensor_or_region
             from eitskin.cli.page.live_page import LivePage
-            from eitskin.cli.page.plan import sensor_or_region
 
             tasks = stack.enter_context(SessionTasks(session, page_folder, model, own))
             session.page = stack.enter_context(
@@ -138,7 +138,7 @@ def _picture_pipeline(
 ) -> "hardware.FramePipeline":
     """Pipeline with a picture of each frame, of the sensor that the pipeline was trained for."""
     from eitskin.cli.live_pictures import LivePictures
-    from eitskin.cli.page.plan import Region, sensor_or_region
+    from eitskin.cli.page.drawing import Region, sensor_or_region
 
     sheet = sensor_or_region(session.pipeline)
     if isinstance(sheet, Region):

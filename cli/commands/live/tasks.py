@@ -406,8 +406,8 @@ class SessionTasks(Closeable, SessionCommands):
         """Readings of a recording by a new pipeline of the session's model, as JSON."""
         import msgspec
 
+        from eitskin.cli.page.drawing import sensor_or_region
         from eitskin.cli.page.live_page import recorded_moments
-        from eitskin.cli.page.plan import sensor_or_region
 
         if name not in self._recordings:
             raise ConfigurationError(f"there is no recording {name!r} in {self.folder}")

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from eitskin.cli.page.drawing import Region
 from eitskin.cli.page.live_page import LivePage, event
-from eitskin.cli.page.plan import Region
 from eitskin.cli.page.server import KINDS, MAX_CLIENTS, ClientLimits
 from eitskin.errors import ConfigurationError
 from eitskin.hardware import Reading

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from eitskin.cli.page.access import Access, Tokens
+from eitskin.cli.page.drawing import Region
 from eitskin.cli.page.live_page import LivePage, recorded_moments
-from eitskin.cli.page.plan import Region
 from eitskin.datasets import ShardWriter, State
 from eitskin.errors import ConfigurationError
 from eitskin.hardware import ReplayBoard

@@ -9,9 +9,17 @@ import numpy as np
 import pytest
 
 from eitskin.cli.page.commands import stage_commands
-from eitskin.cli.page.drawing import FACE, INSIDE, DrawnBody, GelDrawing, GelShape
+from eitskin.cli.page.drawing import (
+    FACE,
+    INSIDE,
+    DrawnBody,
+    GelDrawing,
+    GelShape,
+    Region,
+    grid_spacing,
+    plan_outline,
+)
 from eitskin.cli.page.live_page import fill_bad_channels, relative_change
-from eitskin.cli.page.plan import Region, grid_spacing, plan_outline
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Clamp, Disc, Electrode, Hinge, Polygon, SensorDesign, Surface
 from eitskin.geometry.design.contact_areas import Pad, contact_areas

@@ -10,8 +10,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import Disc, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Cylinder, Scene, Simulator, Sphere
-from eitskin.simulator.robots.mujoco_skin import MujocoSkin
-from eitskin.simulator.robots.touch_table import TouchRules, TouchTable
+from eitskin.simulator.robots.mujoco_skin import MujocoSkin, TouchRules, TouchTable
 
 from on_demand import OnDemand
 

@@ -10,7 +10,7 @@ import pytest
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Rectangle
 from eitskin.simulator import Cylinder, Footprint, Scene, Sphere, Touch
-from eitskin.simulator.robots.touch_table import (
+from eitskin.simulator.robots.mujoco_skin import (
     TouchRules,
     TouchTable,
     merge_overlapping,

@@ -20,7 +20,6 @@ from eitskin.simulator import (
     Touch,
 )
 from eitskin.training import PressedTwin, Twin, TwinPrior
-from eitskin.training.twin.files import as_plain, recipe, write_twin
 from eitskin.training.twin.fit import TwinProblem
 from eitskin.training.twin.labelled_frames import FLAT, LabelledFrames, labelled_frames
 from eitskin.training.twin.parameters import (
@@ -29,6 +28,7 @@ from eitskin.training.twin.parameters import (
     sensor_parameters,
     twin_parameter,
 )
+from eitskin.training.twin.twin import as_plain, recipe, write_twin
 
 DESIGN = SensorDesign.reference()
 NOMINAL = interpolation_centre(Specimen(DESIGN, Clamp(), Mechanics()))
