@@ -97,6 +97,20 @@ def test_boxes_follow_the_sides_and_what_is_held_the_support():
     assert np.array_equal(np.flatnonzero(gel), np.sort(body.gel_cells))
 
 
+def test_lines_go_through_rims_and_sides_and_grow_with_the_distance_from_rims():
+    margin, finest = MECHANICS.margin, 0.2 * PUNCH.radius
+    lines = meshed(rims=0.2).lines
+    for along, at, extent in zip(lines, (X, Y), (LENGTH, WIDTH), strict=False):
+        rims = np.array([at - PUNCH.radius, at + PUNCH.radius])
+        for place in (*rims, 0.0, extent, -margin, extent + margin):
+            assert np.abs(along - place).min() < 1e-9
+        middles = 0.5 * (along[1:] + along[:-1])
+        away = np.abs(middles[:, None] - rims).min(axis=1)
+        wanted = np.minimum(TOP, finest + 0.5 * away)
+        shares = np.diff(along) / wanted
+        assert 0.4 < shares.min() < shares.max() < 0.95  # cells are a whole number
+
+
 @pytest.mark.slow
 def test_contacts_sink_alone_and_neither_tilt_nor_grow_at_cut_cells(pressed, dents):
     radii = np.array([0.0, 0.4, 0.7]) * PUNCH.radius  # springs end a part of a cell inside
