@@ -77,7 +77,7 @@ def export_mcap(
 
     docs/reference/live.md has the topics and their units.
     """
-    from eitskin.hardware.ros2.mcap import McapWriter, require_new
+    from eitskin.hardware.ros2.messages import McapWriter, require_new
 
     require_new(out)
     board, start = hardware.ReplayBoard(str(recording)), time.perf_counter()

@@ -13,8 +13,7 @@ from mcap_reader import read
 from eitskin.datasets import Dataset, State, save_dataset
 from eitskin.errors import ConfigurationError
 from eitskin.hardware import Reading
-from eitskin.hardware.ros2.mcap import GAP, McapWriter, Stamps
-from eitskin.hardware.ros2.messages import NAME, TOUCH_FIELDS, RosMessages
+from eitskin.hardware.ros2.messages import GAP, NAME, TOUCH_FIELDS, McapWriter, RosMessages, Stamps
 from eitskin.simulator import Frame, Protocol, Status
 from eitskin.training import Estimate, FoundTouches
 

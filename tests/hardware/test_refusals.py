@@ -18,7 +18,7 @@ from eitskin.hardware.diagnosis.reading_check import check_frames, check_reading
 from eitskin.hardware.diagnosis.sensor_check import check_sensor
 from eitskin.hardware.protocol.messages import Table
 from eitskin.hardware.protocol.packets import MAX_MEASUREMENTS, MAX_PAYLOAD, Packet, encode
-from eitskin.hardware.ros2.mcap import McapWriter
+from eitskin.hardware.ros2.messages import McapWriter
 from eitskin.hardware.streams import UdpOutlet, WebSocketOutlet, parse_address
 from eitskin.hardware.virtual.fault_table import read_faults
 from eitskin.hardware.virtual.virtual_board import virtual_terminal

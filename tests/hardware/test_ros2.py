@@ -18,7 +18,7 @@ import pytest
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.hardware import Reading
 from eitskin.hardware.ros2.messages import RosMessages
-from eitskin.hardware.ros2.participant import (
+from eitskin.hardware.ros2.skin_node import (
     dds_service,
     dds_type_name,
     require_domain,

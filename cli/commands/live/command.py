@@ -169,7 +169,7 @@ def _recordings(record: Path | None, mcap: Path | None) -> Iterator[Recording]:
     The file comes first: where it cannot be, no folder has been made.
     """
     if mcap is not None:
-        from eitskin.hardware.ros2.mcap import McapWriter
+        from eitskin.hardware.ros2.messages import McapWriter
 
         yield Recording(McapWriter(mcap, now=time.time_ns), mcap)
     if record is not None:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eitskin.cli.page.live_page import LivePage
-    from eitskin.hardware.ros2.mcap import McapWriter
+    from eitskin.hardware.ros2.messages import McapWriter
     from eitskin.hardware.ros2.skin_node import SkinNode
     from eitskin.hardware.streams import ReadingPublisher
     from eitskin.training.pipeline.references import SessionOrder
