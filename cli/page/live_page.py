@@ -17,6 +17,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.hardware.live import AcquisitionClock
 
 if TYPE_CHECKING:
+    from eitskin.cli.live_pictures import Picture
     from eitskin.cli.page.server import ClientLimits
 import dataclasses
 import math
@@ -37,10 +38,6 @@ from eitskin.cli.page.drawing import (
 )
 from eitskin.frame import Frame
 from eitskin.hardware.streams import bad_channels, state_name, zero_name
-
-if TYPE_CHECKING:
-    from eitskin.cli.live_pictures import Picture
-
 
 log = logging.getLogger(__name__)
 

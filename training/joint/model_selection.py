@@ -65,8 +65,8 @@ PAIR_TRIALS = 2  # fits that split one touch into two where the misfit is unusua
 ALLOWANCE = (6.0, 30.0, 50.0)
 """Most that a wide contact, of five or six unknowns, may raise the misfit of 2, 3, ... touches to
 be a rival: each touch that it spares has three unknowns, and a wide contact less odds."""
-STEPS, TOLERANCE = 7, 0.5  # of Levenberg-Marquardt, and promise of the misfit at which it ends
-DAMPING, LIGHTER, HEAVIER = 1e-2, 0.2, 6.0  # of its steps, and its factors after good and bad ones
+STEPS, TOLERANCE = 7, 0.5  # of the fit of a wide contact, and promise of its misfit at the end
+DAMPING, LIGHTER, HEAVIER = 1e-2, 0.2, 6.0  # of its steps, and factors after good and bad ones
 SIZE_UNIT, LEAST_SIZE = 0.010, 0.005  # m, unit step of half lengths and radii, and the least first
 # m, spread of touches across that may be a bar, and that may be a disc
 WIDTH, RADIUS = 0.010, 0.025

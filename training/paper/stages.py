@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 TOLERANCE = 1.05  # of the residual of bend frames, over the noise
 THRESHOLD = 0.4  # of the map, whose values are probabilities of being under an indenter
 MIN_COMPONENT_PIXELS = 4  # pixels; a smaller component is no indenter
-FOLDS = 5
+FOLDS = 5  # of the cross-validation of the bend angle's features
 _CUT = float(np.finfo(float).eps)  # singular value, over the largest, that counts as zero
 
 Frames = NDArray[np.int64]

@@ -24,9 +24,8 @@ PRIOR_FLOOR = 0.1  # least weight of a pixel in NOSER's prior, relative to the m
 MAX_SNR = 1e4  # for noise-free data, whose step would otherwise be unregularised
 Prior = Literal["tikhonov", "noser", "laplace"]
 
-MAX_STEPS = 60
-# relative change of a picture that ends the iteration of total variation
-CONVERGENCE_TOLERANCE = 5e-4
+MAX_STEPS = 60  # of total variation
+CONVERGENCE_TOLERANCE = 5e-4  # relative change of a picture that ends them
 SMOOTHING = 1e-3  # gradient below which edges count as slopes, relative to the largest gradient
 TARGET_SHARE = 0.25  # radius of a training target, relative to that of its desired image
 EDGE = 0.25  # width of the soft edge of a desired image, relative to its radius
