@@ -1,43 +1,45 @@
-"""The live page of `eitskin live --page`."""
+"""The live page of `eitskin live --page`: its contents as plain data for JSON, and its readers."""
 
+import dataclasses
 import json
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
-
-from eitskin import hardware
-from eitskin.cli.page.access import Access
-from eitskin.cli.page.commands import SessionCommands, stage_commands
-from eitskin.cli.page.drawing import Region
-from eitskin.closeable import Closeable
-from eitskin.extras import require_all
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.hardware.live import AcquisitionClock
-
-if TYPE_CHECKING:
-    from eitskin.cli.live_pictures import Picture
-    from eitskin.cli.page.server import ClientLimits
-import dataclasses
-import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin import simulator
-from eitskin.cli.page.commands import BEND_RANGE, FORCE_RANGE, MAX_TOUCHES
+from eitskin import hardware, simulator
+from eitskin.cli.page.access import Access
+from eitskin.cli.page.commands import (
+    BEND_RANGE,
+    FORCE_RANGE,
+    MAX_TOUCHES,
+    SessionCommands,
+    stage_commands,
+)
 from eitskin.cli.page.drawing import (
     DrawnPress,
     GelDrawing,
+    Region,
     encode_numbers,
     grid_spacing,
     plan_outline,
 )
+from eitskin.closeable import Closeable
+from eitskin.extras import require_all
 from eitskin.frame import Frame
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.hardware.live import AcquisitionClock
 from eitskin.hardware.streams import bad_channels, state_name, zero_name
+
+if TYPE_CHECKING:
+    from eitskin.cli.live_pictures import Picture
+    from eitskin.cli.page.server import ClientLimits
 
 log = logging.getLogger(__name__)
 
