@@ -153,6 +153,7 @@ def test_calibration_makes_angles_surer_and_arrays_make_the_method_again(method)
     frames = sample(method)
     for one in (method, calibrated(method)[0]):
         again = JointMethod.from_arrays(one.arrays(), LAYOUT)
+        assert one.arrays()["response.weight0"].dtype == np.float32
         expected, said = one.outputs(frames), again.outputs(frames)
         assert set(said) == {"probabilities", "bend_angle_deg", "touch_map"}
         for name, array in expected.items():
