@@ -26,7 +26,7 @@ from eitskin.training import TrainingSettings
 
 import small_dataset
 
-MODEL, VIRTUAL = "reference.eitmodel", ("--board", "virtual:?speed=max")
+MODEL = "reference.eitmodel"
 DISC = "outline = { radius = 0.03 }\nthickness = 0.004\n[electrodes]\ncount = 6\n"
 RECIPE = 'name = "cheap"\nscenes = [{ state = "bend", count = 8, angle_deg = [10, 10] }]\n'
 USAGE, DATA, FRAME = ConfigurationError, DataError, FrameError

@@ -379,6 +379,3 @@ def test_prisms_are_as_exact_as_promised() -> None:
     pairs, truth = Protocol.pairwise(8), signals(CONVERGED)[1]
     found = (pairs.measure(bent) / pairs.measure(flat)).real - 1.0
     assert np.linalg.norm(found - truth) < 1e-2 * np.linalg.norm(truth)
-
-
-# Shared meshes

@@ -128,6 +128,3 @@ def test_a_sphere_is_round() -> None:
     r, height = np.array([0.001, 0.003]), np.array([0.004, 0.006])
     g, _, _ = penetration(Sphere(0.0075), r, height)
     assert g == pytest.approx(0.0075 - np.hypot(r, 0.0075 - height))
-
-
-# Refusals

@@ -151,6 +151,3 @@ def linear():
     jacobian, residual = rng.standard_normal((20, 7)), 30.0 * rng.standard_normal(20)
     both = np.column_stack([residual, jacobian])
     return SimpleNamespace(residual=residual, jacobian=jacobian, products=both.T @ both)
-
-
-# Bad measurements and contacts: left out, told, and no touches

@@ -227,11 +227,3 @@ def test_mask_has_the_area_of_the_outline(outline, area):
     picture = grid.image(np.arange(len(grid)))
     assert np.isnan(picture).sum() == picture.size - len(grid)
     assert (picture[grid.inside] == np.arange(len(grid))).all()
-
-
-# ---- figures of merit ----
-
-
-DISC = PixelGrid.from_outline(Disc(0.1), 10_000)
-CENTRE, DISC_RADIUS = (0.13, 0.09), 0.02
-INTEGRAL = np.pi * DISC_RADIUS**2
