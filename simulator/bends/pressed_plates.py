@@ -32,7 +32,6 @@ from eitskin.geometry.design.sensor import Plates, SensorDesign
 from eitskin.simulator.bends import bend_table
 from eitskin.simulator.deformation.contact import BentState, ContactFrame, DentField
 from eitskin.simulator.deformation.correction import Correction
-from eitskin.simulator.deformation.corrections import load_table
 from eitskin.simulator.deformation.field import CubicSplines, Field
 from eitskin.simulator.deformation.finite_stack import FiniteStack
 from eitskin.simulator.deformation.indentation_tables import (
@@ -51,8 +50,13 @@ from eitskin.simulator.deformation.node_sums import (
 )
 from eitskin.simulator.deformation.press_table import indenter_samples
 from eitskin.simulator.deformation.sensor_grid import SensorGrid
-from eitskin.simulator.deformation.solution_store import Arrays, Problem, Report
-from eitskin.simulator.deformation.solution_table import Axis
+from eitskin.simulator.deformation.solution_store import (
+    Arrays,
+    Problem,
+    Report,
+    load_or_solve,
+)
+from eitskin.simulator.deformation.solution_table import Axis, SolutionTable
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.stack_mesh import Fineness
 from eitskin.simulator.scene.indenters import Indenter
@@ -82,6 +86,9 @@ _FINENESS = Fineness(ends=0.0, sides=0.25, layers=1, rims=0.3, growth=1.5)
 # Nodes of fields over the thickness: in the gap and up to a distance next to it, and beyond.
 _FINE, _NEAR, _COARSE, _ACROSS, _DEGREE = 0.35, 1.8, 0.65, 19, 2
 _TOLERANCE = 1e-3  # singular values, relative to the largest, that the table keeps
+# A sensor over a gap gives way like a spring that its bend stiffens: fields are cubics of the
+# inverse distance from this angle, by which solved angles follow best from the others [deg].
+_SOFTEST_DEG = -100.0
 _MINUTES = 25
 _DEPTH_MARGIN = 0.02  # of the deepest dent, by which another may be deeper
 _WORKERS = os.cpu_count() or 1
@@ -302,7 +309,7 @@ class PlateBend:
         """
         self._require_reach(indenter, places, angles_deg)
         case = self._case(indenter)
-        table, (along, across) = load_table(case.problem()), case.bases()
+        table, (along, across) = load_or_solve(case.problem(), _table), case.bases()
         (x, y, depth), higher = places.T, self.design.thickness / table.size("height")
         images = DIRECT, MIRRORED_Y, MIRRORED_X, BOTH_MIRRORED
         every = sum_of(table, (table,), sums.components if sums else 3, images)
@@ -311,7 +318,7 @@ class PlateBend:
         place = {"x": np.clip(nominal, first, self.design.outline.length - first), "y": y}
         part = depth / self._deepest(case, x)
         amounts, extra = every.amounts(
-            [1.0], self.design.thickness, **place, angle=angles_deg, part=part
+            [1.0], self.design.thickness, **place, angle=_stiffening(angles_deg), part=part
         )
         if sums:
             amounts = amounts * (depth / higher)[:, None]
@@ -375,6 +382,21 @@ def held_by_plates(
     clamp = fixture if isinstance(fixture, Clamp) else Clamp()
     held = dataclasses.replace(clamp, span=support.span)
     return PlateBend(design, held, mechanics, grid, angle_deg if clamp is fixture else 0.0)
+
+
+def _table(arrays: Arrays) -> SolutionTable:
+    """Stored table, over the stiffening by its angles."""
+    table = SolutionTable.from_arrays(arrays)
+    axes = (
+        axis._replace(nodes=_stiffening(axis.nodes)) if axis.name == "angle" else axis
+        for axis in table.axes
+    )
+    return dataclasses.replace(table, axes=tuple(axes))
+
+
+def _stiffening(angles_deg: Array) -> Array:
+    """Rising measure of angles, in which fields over a gap are nearly straight."""
+    return np.asarray(1.0 / (_SOFTEST_DEG - angles_deg))
 
 
 @lru_cache(maxsize=128)
