@@ -16,8 +16,6 @@ from eitskin.simulator.deformation.corrections import rectangle_sums
 from eitskin.simulator.deformation.field import Field
 from eitskin.simulator.deformation.finite_stack import FiniteStack
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID
-from eitskin.simulator.deformation.solution_store import load_or_solve
-from eitskin.simulator.deformation.solution_table import Axis
 from eitskin.simulator.mechanics.stack_mesh import Fineness
 
 SIZE, SPAN, PUNCH, MECHANICS = Rectangle(0.080, 0.040), 0.020, Cylinder(0.006), Mechanics()
@@ -100,23 +98,6 @@ def test_a_tabulated_press_is_the_coupled_solution(plates, angle, place, depth) 
     field, extra = changed(held, *place, depth)
     assert np.linalg.norm(moved(field) - change) < 0.08 * np.linalg.norm(change)
     assert extra == pytest.approx(sunk, rel=0.08, abs=0.01 * depth)
-
-
-def test_over_the_gap_a_solved_angle_follows_from_the_others():
-    """In the shipped table, by the spline that lies between its angles."""
-    design = dataclasses.replace(SensorDesign.reference(), support=Plates())
-    held = dataclasses.replace(Clamp(), span=Plates().span)
-    case = pressed_plates.nominal_case(design, held, MECHANICS, Cylinder(), OWN_GRID)
-    problem = case.problem()
-    assert problem.is_shipped
-    table = load_or_solve(problem, pressed_plates._table)
-    start, _ = Plates().gap(design.outline)
-    angles, over = table.nodes("angle"), table.nodes("x") > start + 1e-3
-    (weights,) = Axis("angle", "spline", angles[[0, 1, 3]]).weights(angles[2:3])[0]
-    solved = table.amplitudes[over]
-    missing = np.einsum("xyapr,a->xypr", solved[:, :, [0, 1, 3]], weights) - solved[:, :, 2]
-    sizes = np.linalg.norm(solved[:, :, 2], axis=-1)
-    assert (np.linalg.norm(missing, axis=-1) < 0.06 * sizes).all()
 
 
 @pytest.mark.slow

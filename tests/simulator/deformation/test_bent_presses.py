@@ -10,12 +10,15 @@ from scipy.spatial.transform import Rotation
 from eitskin.geometry import Bend, Clamp, Plates, Rectangle, Rigid, SensorDesign
 from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
-from eitskin.simulator.bends import bend_table
+from eitskin.simulator.bends import bend_table, pressed_plates
 from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack
 from eitskin.simulator.deformation.contact import ContactFrame, DentField
 from eitskin.simulator.deformation.correction import Correction
 from eitskin.simulator.deformation.finite_stack import DentedSolid, FiniteStack
 from eitskin.simulator.deformation.pressed_sensor import PressedSensor
+from eitskin.simulator.deformation.sensor_grid import OWN_GRID
+from eitskin.simulator.deformation.solution_store import load_or_solve
+from eitskin.simulator.deformation.solution_table import Axis
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.fitted_plan import Contact
 from eitskin.simulator.mechanics.stack_mesh import Fineness, StackMesh, stack_mesh
@@ -161,3 +164,20 @@ def test_frames_turn_stresses_with_their_forces():
     assert frame.flatten_points(points) == pytest.approx(
         Homogeneous(F).positions(points), abs=1e-12
     )
+
+
+def test_over_the_gap_a_solved_angle_follows_from_the_others():
+    """In the shipped table, by the spline that lies between its angles."""
+    design = dataclasses.replace(SensorDesign.reference(), support=Plates())
+    held = dataclasses.replace(Clamp(), span=Plates().span)
+    case = pressed_plates.nominal_case(design, held, MECHANICS, Cylinder(), OWN_GRID)
+    problem = case.problem()
+    assert problem.is_shipped
+    table = load_or_solve(problem, pressed_plates._table)
+    start, _ = Plates().gap(design.outline)
+    angles, over = table.nodes("angle"), table.nodes("x") > start + 1e-3
+    (weights,) = Axis("angle", "spline", angles[[0, 1, 3]]).weights(angles[2:3])[0]
+    solved = table.amplitudes[over]
+    missing = np.einsum("xyapr,a->xypr", solved[:, :, [0, 1, 3]], weights) - solved[:, :, 2]
+    sizes = np.linalg.norm(solved[:, :, 2], axis=-1)
+    assert (np.linalg.norm(missing, axis=-1) < 0.06 * sizes).all()
