@@ -20,7 +20,7 @@ from eitskin.datasets import Dataset, Recipe, State
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Mounts
-from eitskin.geometry import DataError, EitskinError, Plates
+from eitskin.geometry import DataError, EitskinError, Plates, SensorDesign
 from eitskin.simulator import FourTerminalMeter, Instrument
 from eitskin.training import Pipeline, Predictions
 from eitskin.training.evaluation.cramer_rao import scene_derivatives
@@ -46,18 +46,8 @@ KNOWN_FRAMES = (
     SceneGroup("touch", count=80, force=(4.0, 12.0)),
 )
 """Labelled frames of each sensor, to adapt by: angles, and presses on the flat sensor."""
-PLACES = (
-    *((0.030, 0.020), (0.045, 0.040), (0.112, 0.017), (0.125, 0.033)),
-    *((0.026, 0.044), (0.040, 0.025), (0.108, 0.038), (0.118, 0.022)),
-)
-"""Presses of "pressed while bent" [m], on the plates, two at each of four angles."""
-FEW_SENSORS = 2
-FEW_FRAMES = (
-    SceneGroup("idle", count=2),
-    SceneGroup("bend", count=6, angle_deg=(10.0, 40.0)),
-    SceneGroup("touch", positions=PLACES, force=(4.0, 8.0), angle_deg=(10.0, 40.0), per_bend=2),
-)
-"""All frames to be tested of the world whose presses take half a minute to minutes each."""
+OVER_PLATES: dict[str, Any] = {"from_middle": (0.026, 0.075), "force": (4.0, 10.0)}
+"""Presses of sensors on plates, which carry them; their gap gives way."""
 
 # The spread of specimens that share the bends of their mounts.
 _SHARED_BENDS = dict.fromkeys(
@@ -88,11 +78,9 @@ WORLDS: dict[str, tuple[dict[str, float], dict[str, Any]]] = {
             )
         },
     ),
+    "on plates": ({}, {"sensor": replace(SensorDesign.reference(), support=Plates())}),
 }
 """Of each world, what its recipe changes in the spread of the sensors, and besides."""
-FEW = "pressed while bent"
-"""World of a handful of frames on two sensors on the plates that bend them, without known presses:
-presses are solved as one problem with the bend."""
 BOUND = "Cramer-Rao bound"
 _COLUMNS: Columns = {
     "pipeline": ("pipeline", "", 1),
@@ -130,7 +118,7 @@ def make(folder: Path, seed: int, quick: bool, workers: int, progress: Progress)
     Raises ConfigurationError where `folder` holds frames of other recipes.
     """
     worlds = []
-    for name in (*WORLDS, *(() if quick else (FEW,))):
+    for name in WORLDS:
         sets = []
         for recipe in recipes(name, seed, quick):
             place = folder / recipe.name.replace(" ", "-").replace(",", "")
@@ -153,17 +141,18 @@ def _exclude_same_draws(frames: Dataset, known: Dataset) -> Dataset:
 
 def recipes(world: str, seed: int, quick: bool) -> tuple[Recipe, Recipe]:
     """Recipes of the frames to be tested and of the known frames of a world."""
-    training = Recipe.from_shipped("training")
-    known, count, spread = KNOWN_FRAMES, QUICK_SENSORS if quick else SENSORS, _SHARED_BENDS
-    changes: dict[str, Any] = {}
-    if world == FEW:
-        known, count = tuple(each for each in known if each.state != "touch"), FEW_SENSORS
-        changes["sensor"] = replace(training.sensor, support=Plates())
-    else:
-        spread, changes = WORLDS[world]
+    training, count = Recipe.from_shipped("training"), QUICK_SENSORS if quick else SENSORS
+    spread, changes = WORLDS[world]
+    sensor = changes.get("sensor", training.sensor)
 
     def count_every_sensor(groups: Sequence[SceneGroup]) -> tuple[SceneGroup, ...]:
-        return tuple(replace(group, count=group.count * count) for group in groups)
+        over_plates = OVER_PLATES if isinstance(sensor.support, Plates) else {}
+        return tuple(
+            replace(
+                group, count=group.count * count, **(over_plates if group.state == "touch" else {})
+            )
+            for group in groups
+        )
 
     frames = replace(
         training,
@@ -172,10 +161,10 @@ def recipes(world: str, seed: int, quick: bool) -> tuple[Recipe, Recipe]:
         seed=SEED + seed,
         specimens=replace(training.specimens, count=count, **spread),
         reference_frames=8,
-        scenes=FEW_FRAMES if world == FEW else count_every_sensor(SENSOR_FRAMES),
+        scenes=count_every_sensor(SENSOR_FRAMES),
     )
     frames = replace(frames, **changes)
-    return frames, replace(frames, name=f"{world}, known", scenes=count_every_sensor(known))
+    return frames, replace(frames, name=f"{world}, known", scenes=count_every_sensor(KNOWN_FRAMES))
 
 
 @dataclass(frozen=True, slots=True)
@@ -309,15 +298,13 @@ def run(
         for place, world in enumerate(worlds):
             progress("scores", number * len(worlds) + place, len(worlds) * len(pipelines))
             for labelled in LABELLED_COUNTS:
-                if not (labelled.presses and world.name == FEW):
-                    names = {"pipeline": name, "world": world.name, "labelled": str(labelled)}
-                    rows.append(names | scores(pipeline, world, labelled))
+                names = {"pipeline": name, "world": world.name, "labelled": str(labelled)}
+                rows.append(names | scores(pipeline, world, labelled))
     progress("scores", len(worlds) * len(pipelines), len(worlds) * len(pipelines))
     limits: list[dict[str, Any]] = [
         {"pipeline": BOUND, "world": world.name, "labelled": ""}
         | bounds(world, recipes(world.name, seed, quick)[0], progress)
         for world in worlds
-        if world.name != FEW
     ]
     figures: list[tuple[str, float]] = []
     for row in (*rows, *limits):
