@@ -2,8 +2,8 @@
 
 The folder of the data holds `ohmc8.mat` (DSHardman/HydrogelEIT), 500 presses of a robot on a round
 hydrogel skin in the order of time; `openeit_background_8.txt`, a frame of all 28 pairs of another
-board; and `ktc2023_ref.mat` with `ktc2023_mesh_sparse.mat`, a round tank of plain water with 32
-electrodes (Kuopio Tomography Challenge 2023, Zenodo 8252370).
+board; and `ktc2023_ref.mat`, a round tank of plain water with 32 electrodes (Kuopio Tomography
+Challenge 2023, Zenodo 8252370).
 
 Measured are the places of the last 100 presses, learned from k random presses of the first 400
 (means over seven draws), by maps of the channels with and without the sensor's design, and by
@@ -21,12 +21,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.io import loadmat
 
 from eitskin.benchmarks.results import Report, ReportTable, Watch, make_results, plot_errors
+from eitskin.benchmarks.tank_targets import TANK, tank_frame
 from eitskin.datasets import RecordingForm, RecordingNames, read_recording
 from eitskin.extras import require
-from eitskin.geometry import DataError, Disc, Electrode, FrameError, SensorDesign
+from eitskin.geometry import DataError, FrameError, SensorDesign
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import ForwardModel, Protocol
 from eitskin.simulator.electrical.resolution import Discretisation
@@ -39,7 +39,7 @@ Rows = NDArray[np.int64]
 Method = Callable[[LabelledPresses, Rows, Rows], tuple[Array, Array]]
 
 PRESSES, BOARD_FRAME = "ohmc8.mat", "openeit_background_8.txt"
-TANK = ("ktc2023_ref.mat", "ktc2023_mesh_sparse.mat")
+TANK_FRAME = "ktc2023_ref.mat"
 DESCRIPTIONS = Path(__file__).parents[1] / "docs" / "how-to" / "recordings"
 COUNTS, QUICK_COUNTS = (5, 20, 50, 200, 400), (5, 50)
 DRAWS, TESTED = 7, 100
@@ -51,7 +51,7 @@ MESHES: dict[str, Discretisation] = {
     "order 3, graded": ((3,), Grading(finest=1e-3, coarsest=3e-2, growth=1.5)),
     "order 4, graded": ((4,), Grading(finest=2e-4, coarsest=3e-2, growth=1.5)),
 }
-HEIGHT = 0.05  # of the tank's model [m]; only sigma h and z sigma show in the voltages
+CONTACT_IMPEDANCE = 1e-7  # of the tank's model [ohm m2]: the fit is best as it vanishes
 
 
 def run(folder: Path, quick: bool, watch: Watch = lambda _, items: items) -> Report:
@@ -59,7 +59,7 @@ def run(folder: Path, quick: bool, watch: Watch = lambda _, items: items) -> Rep
 
     Raises DataError where a file is missing.
     """
-    for name in (PRESSES, BOARD_FRAME, *TANK):
+    for name in (PRESSES, BOARD_FRAME, TANK_FRAME):
         if not (folder / name).is_file():
             raise DataError(f"{folder / name} is not there; name the folder of the recordings")
     began = time.perf_counter()
@@ -69,9 +69,9 @@ def run(folder: Path, quick: bool, watch: Watch = lambda _, items: items) -> Rep
         errors += place_errors(skin, count, 1 if quick else DRAWS)
     failed = dict(failed_electrode_errors(skin, QUICK_FAILED if quick else FAILED))
     ratio, accepted = judge_board_frame(folder / BOARD_FRAME)
-    currents, senses, voltages, model = read_tank(folder)
+    frame = tank_frame(folder / TANK_FRAME)
     fits = [
-        (name, fit_tank(currents, senses, voltages, model(MESHES[name])))
+        (name, fit_tank(*frame, MESHES[name]))
         for name in watch("tank", list(MESHES)[: 1 if quick else None])
     ]
     places = dict(_mean_errors(errors))
@@ -246,50 +246,19 @@ def judge_board_frame(path: Path) -> tuple[float, str]:
     return ratio, "accepted"
 
 
-def read_tank(
-    folder: Path,
-) -> tuple[Array, Array, Array, Callable[[Discretisation], ForwardModel]]:
-    """Read the tank's files.
+def fit_tank(protocol: Protocol, readings: Array, mesh: Discretisation) -> Mapping[str, float]:
+    """Relative residuals of the tank's readings: all, those of driven electrodes, the others.
 
-    Returns currents (electrodes, patterns) [mA], the electrode differences that the voltmeter reads
-    (electrodes, channels), voltages (channels, patterns) [V], and what makes the forward model of
-    the tank on a mesh: of 1 S/m, with contacts of nearly no impedance.
+    Fitted is one conductivity, by which all readings (measurements,) scale.
     """
-    data, mesh = (loadmat(folder / name) for name in TANK)
-    currents, senses = (data[name].astype(np.float64) for name in ("Injref", "Mpat"))
-    voltages = data["Uelref"].astype(np.float64).reshape(currents.shape[1], senses.shape[1]).T
-    places = np.asarray(mesh["g"], dtype=np.float64) @ [1.0, 1.0j]
-    rims = [np.unique(np.asarray(faces, dtype=np.int64)) for faces in mesh["elfaces"].ravel()]
-    first = np.angle(places[rims[0]].sum())
-    widths = [np.ptp(np.angle(places[rim] / places[rim].sum())) for rim in rims]
-    angles = first + 2 * np.pi / len(rims) * np.arange(len(rims))
-    radius, width = float(np.abs(places).max()), float(np.mean(widths))
-
-    def model(resolution: Discretisation) -> ForwardModel:
-        x, y = radius * (1.0 + np.stack([np.cos(angles), np.sin(angles)]))
-        electrodes = tuple(
-            Electrode(px, py, width * radius, 1e-7)
-            for px, py in zip(x.tolist(), y.tolist(), strict=True)
-        )
-        design = SensorDesign(Disc(radius), HEIGHT, electrodes, encapsulated_thickness=HEIGHT)
-        return ForwardModel(design, resolution)
-
-    return currents, senses, voltages, model
-
-
-def fit_tank(
-    currents: Array, senses: Array, voltages: Array, model: ForwardModel
-) -> Mapping[str, float]:
-    """Relative residuals of the tank's voltages: all, those of driven electrodes, the others.
-
-    Fitted is one conductivity, by which all voltages scale; the fit is best as the contact
-    impedance vanishes.
-    """
-    unit = senses.T @ model.impedance().real @ currents
-    missed = float((unit * voltages).sum() / (unit**2).sum()) * unit - voltages
-    driven = (np.abs(senses).T @ np.abs(currents)) > 0
+    design = SensorDesign.from_toml(TANK)
+    electrodes = (replace(e, contact_impedance=CONTACT_IMPEDANCE) for e in design.electrodes)
+    model = ForwardModel(replace(design, electrodes=tuple(electrodes)), mesh)
+    unit = protocol.measure(model.impedance()).real
+    missed = float(unit @ readings) / float(unit @ unit) * unit - readings
+    driven = np.array(protocol.shares)
     masks = {"all": np.ones_like(driven), "driven": driven, "others": ~driven}
     return {
-        name: float(np.linalg.norm(missed[rows]) / np.linalg.norm(voltages[rows]))
+        name: float(np.linalg.norm(missed[rows]) / np.linalg.norm(readings[rows]))
         for name, rows in masks.items()
     }

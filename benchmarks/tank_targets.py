@@ -166,15 +166,15 @@ def read_targets(folder: Path, quick: bool) -> tuple[Protocol, list[Target]]:
             files.append((f"level {level}", data, truth))
     targets = []
     for group, path, truth in files:
-        protocol, values = _values(path)
-        _, reference = _values(path.parent / "ref.mat")
+        protocol, values = tank_frame(path)
+        _, reference = tank_frame(path.parent / "ref.mat")
         classes = np.array([0, -1, 1], np.int8)[np.rint(loadmat(truth)["truth"]).astype(int)]
         targets.append(Target(group, values, reference, classes[::-1]))
     return protocol, targets
 
 
-def _values(path: Path) -> tuple[Protocol, Array]:
-    """Protocol and values of the one frame of a file, NaN where lost."""
+def tank_frame(path: Path) -> tuple[Protocol, Array]:
+    """Protocol and values (measurements,) of the one frame of a file, NaN where lost."""
     recording = read_recording(path, form=RecordingForm(bad_values="mark"))
     if recording.protocol is None:
         raise DataError(f"expected patterns of currents and voltages in {path}, got none")
