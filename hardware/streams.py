@@ -26,7 +26,8 @@ from eitskin.extras import require
 from eitskin.files import quote_value
 from eitskin.frame import Frame, Status
 from eitskin.hardware.boards.board import Connection, Counts
-from eitskin.hardware.live import Estimate, Latest, Reading
+from eitskin.hardware.live import Estimate, Reading
+from eitskin.latest import Latest
 
 VERSION = 1
 """Version of the records; keys may be added without a new one, none is removed or changed."""

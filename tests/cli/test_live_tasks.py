@@ -20,8 +20,8 @@ from eitskin.datasets import open_dataset
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry import SensorDesign
 from eitskin.hardware import Connection, Counts, Reading, open_board, run_live
-from eitskin.hardware.live import Latest
 from eitskin.hardware.virtual import virtual_board
+from eitskin.latest import Latest
 from eitskin.simulator import Frame, Simulator
 from eitskin.training import Pipeline
 

@@ -24,7 +24,7 @@ from eitskin import datasets, hardware, simulator, training
 from eitskin.cli.commands.tare import board_number
 from eitskin.cli.options import Output
 from eitskin.errors import PartialError
-from eitskin.hardware.live import Latest
+from eitskin.latest import Latest
 
 if TYPE_CHECKING:
     import numpy as np

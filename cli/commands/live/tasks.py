@@ -20,7 +20,7 @@ from eitskin.cli.commands.tare import FRAMES as TARE_FRAMES
 from eitskin.cli.page.commands import Commands, ConflictError, SessionCommands, make_commands
 from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError, DeviceError, EitskinError, FrameError
-from eitskin.hardware.live import Latest
+from eitskin.latest import Latest
 from eitskin.simulator.scene.scene import Scene
 
 if TYPE_CHECKING:

@@ -1,0 +1,1 @@
+../../eitskin/latest.py
