@@ -18,7 +18,7 @@ ANGLES = (-20.0, 0.0, 15.0, 30.0, 50.0)
 
 @pytest.fixture(scope="module")
 def simulator():
-    return Simulator(DESIGN, "coarse")
+    return Simulator(DESIGN, "fast")
 
 
 class Session:
