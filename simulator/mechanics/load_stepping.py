@@ -190,16 +190,16 @@ def newton(
         # Full steps find the contact area quickly at first; later steps must not cycle.
         limit = np.inf if iteration < _FULL_STEPS else residual_norm
         x = _line_search(terms, x, step, load.forces, free, limit)
-        found = x if size <= tolerance * max(start, np.abs(x).max()) else None
-        if found is None and chords:
+        solution = x if size <= tolerance * max(start, np.abs(x).max()) else None
+        if solution is None and chords:
             least = _CONTRACTION * tolerance**2 * max(start, float(np.abs(x).max()))
-            found = _modified_newton(terms, x, load.forces, free, factorised, size, least)
-        if found is not None:
+            solution = _modified_newton(terms, x, load.forces, free, factorised, size, least)
+        if solution is not None:
             # The potential has a minimum over displacements, given the constraints, where there
             # are as many negative pivots as multipliers (Sylvester's law of inertia).
             if factorised.negative != constraints:
                 raise SolidError("the equilibrium is unstable: it would buckle or crease")
-            return found
+            return solution
     raise SolidError(f"Newton's method does not converge in {_ITERATIONS} iterations")
 
 
