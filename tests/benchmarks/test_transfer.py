@@ -74,7 +74,7 @@ def test_predictions_are_judged_by_hand():
 @pytest.mark.slow
 def test_the_command_measures_the_shipped_pipeline(tmp_path, monkeypatch):
     nominal = {"nominal": ({}, {"specimens": Specimens(2, conductivity=0.1)})}
-    monkeypatch.setattr(transfer, "WORLDS", nominal)
+    monkeypatch.setattr(transfer, "ALL_WORLDS", nominal)
     monkeypatch.setattr(transfer, "SENSOR_FRAMES", transfer.SENSOR_FRAMES[::2])
     few = (*transfer.KNOWN_FRAMES[:6], replace(transfer.KNOWN_FRAMES[-1], count=6))
     monkeypatch.setattr(transfer, "KNOWN_FRAMES", few)
