@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 from made_up_frames import made_up_frames
+from scipy.spatial.distance import cdist
 
 from eitskin.training.joint import clamps
 from eitskin.training.joint.bend_curve import BendCurvePrior
@@ -75,16 +76,41 @@ def test_curves_of_clamps_are_those_of_their_specimens_and_unknown_ones_left_alo
     assert rms(at_40(found.own)[1::3] - expected(made)) < 0.05 * scatter
 
 
-def test_curves_of_drawn_clamps_are_those_of_the_formula(monkeypatch):
-    ends = np.array([[0.025, 0.004, 1.0, 0.7], [0.060, 0.014, 2.0, 2.8]])
-    learned_from = np.concatenate([ends, clamps_of(60)])
-    others = clamps_of(30, seed=9)
-    low, high = (np.append(end[:3], np.log(end[3])) for end in ends)
-    places = np.column_stack([others[:, :3], np.log(others[:, 3])])
-    monkeypatch.setattr(clamps, "SAMPLE_COUNT", len(others))
-    monkeypatch.setattr(
-        clamps, "_sample_smoothly", lambda *_: 2.0 * (places - low) / (high - low) - 1.0
+def thin_plate_spline(places, values, at):
+    """The least bent function near the values, with its weights orthogonal to linear functions."""
+
+    def kernel(one, other):
+        distance = cdist(one, other)
+        return distance**2 * np.log(np.where(distance > 0.0, distance, 1.0))
+
+    linear, linear_at = (np.column_stack([np.ones(len(x)), x]) for x in (places, at))
+    whole = np.block(
+        [
+            [kernel(places, places) + clamps.SMOOTHING * np.eye(len(places)), linear],
+            [linear.T, np.zeros((linear.shape[1], linear.shape[1]))],
+        ]
     )
-    found = at_40(learned(bent(learned_from)).drawn)
+    weights = np.linalg.solve(whole, np.pad(values, ((0, linear.shape[1]), (0, 0))))
+    return np.column_stack([kernel(at, places), linear_at]) @ weights
+
+
+def test_curves_of_drawn_clamps_are_those_of_a_thin_plate_spline_and_near_the_formula(monkeypatch):
+    ends = np.array([[0.025, 0.004, 1.0, 0.7], [0.060, 0.014, 2.0, 2.8]])
+    known, others = np.concatenate([ends, clamps_of(60)]), clamps_of(30, seed=9)
+    low, high = (np.append(end[:3], np.log(end[3])) for end in ends)
+    places, at = (
+        2.0 * (np.column_stack([each[:, :3], np.log(each[:, 3])]) - low) / (high - low) - 1.0
+        for each in (known, others)
+    )
+    monkeypatch.setattr(clamps, "SAMPLE_COUNT", len(others))
+    monkeypatch.setattr(clamps, "_sample_smoothly", lambda *_: at)
+    frames, exact = bent(known), np.repeat(curve(known), 3, axis=0)
+    prior = BendCurvePrior.fit(frames)
+    without = dataclasses.replace(prior, mean=np.zeros((2, *exact.shape[1:])))
+    found = ClampCurves.fit(frames, without, exact, 0).drawn.reshape(len(others), -1)
+    spline = thin_plate_spline(places, exact[::3].reshape(len(known), -1), at)
+    np.testing.assert_allclose(found, spline, atol=1e-9 * np.abs(spline).max())
+    bends = prior.expected_coefficients(frames)
+    found = at_40(ClampCurves.fit(frames, prior, bends, 0).drawn)
     scatter = rms(expected(others) - expected(others).mean(axis=0))
     assert rms(found - expected(others)) < 0.05 * scatter

@@ -122,6 +122,23 @@ def test_wrong_channel_is_told_and_is_no_touch(method, size):
         assert PROTOCOL.labels[channel] in said.problems[0][0]
 
 
+@pytest.mark.parametrize("touches", [[TOUCH], [TOUCH, (0.110, 0.040, 9.0)]], ids=["one", "two"])
+@pytest.mark.parametrize("size", [0.003, 0.01])
+@pytest.mark.parametrize("name", ["measurement 2-3", "contact of electrode 2"])
+def test_a_fault_beside_touches_is_told_and_the_touches_are_found(method, touches, size, name):
+    """A contact in series adds to all its measurements; touches alone would fit much of either."""
+    series = np.array([2 in row[:2] for row in PROTOCOL.table]) * np.median(FLAT) / FLAT
+    channel = np.array([label == "2-3" for label in PROTOCOL.labels])
+    wrong = size * (channel if name.startswith("measurement") else series)
+    said = method.predict(observed(method, touches, rng=np.random.default_rng(4), wrong=wrong))
+    (told,) = said.problems[0]
+    assert f"{name} " in told
+    found = said.touches[0].place
+    assert len(found) == len(touches)
+    expected = np.array(touches)[:, :2]
+    np.testing.assert_allclose(found[found[:, 0].argsort()], expected, atol=1e-3)
+
+
 # Copies, and one sensor
 
 
