@@ -16,7 +16,7 @@ from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh_design import CellKind
 from eitskin.simulator import ForwardModel, Protocol
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
-from eitskin.simulator.linalg.elimination_order import OrderName
+from eitskin.simulator.linalg.sparse_structure import OrderName
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

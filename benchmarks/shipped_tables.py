@@ -21,9 +21,9 @@ from eitskin.provenance import Provenance
 from eitskin.simulator import Cylinder, Mechanics, SensorGrid
 from eitskin.simulator.bends.bend_table import bend_problems
 from eitskin.simulator.bends.pressed_plates import held_by_plates
-from eitskin.simulator.deformation.corrections import correction_problems
 from eitskin.simulator.deformation.press_table import press_problems
 from eitskin.simulator.deformation.solution_store import Problem, cache_folder, prepare
+from eitskin.simulator.deformation.tabled_corrections import correction_problems
 from eitskin.simulator.mechanics.materials import NeoHookean
 
 _VARIATION_FACTOR = 1.02  # values that need all next neighbours, relative to the nominal ones

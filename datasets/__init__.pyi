@@ -27,6 +27,7 @@ from eitskin.datasets.store.folder import (
 from eitskin.datasets.store.folder import (
     save_dataset as save_dataset,
 )
+from eitskin.datasets.store.frame_tensors import touch_maps as touch_maps
 from eitskin.datasets.store.rewriting import combine as combine
 from eitskin.datasets.store.rewriting import compact as compact
 from eitskin.datasets.store.schema import (
@@ -43,5 +44,4 @@ from eitskin.datasets.store.torch_dataset import (
 from eitskin.datasets.store.torch_dataset import (
     TorchDataset as TorchDataset,
 )
-from eitskin.datasets.store.touch_map import touch_maps as touch_maps
 from eitskin.datasets.store.writer import ShardWriter as ShardWriter

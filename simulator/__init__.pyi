@@ -15,6 +15,10 @@ from eitskin.simulator.electrical.batch import (
     Tolerance as Tolerance,
 )
 from eitskin.simulator.electrical.forward_model import ForwardModel as ForwardModel
+from eitskin.simulator.instrument.drift import Session as Session
+from eitskin.simulator.instrument.drift import (
+    age_gel as age_gel,
+)
 from eitskin.simulator.instrument.instrument import Instrument as Instrument
 from eitskin.simulator.instrument.meter import FourTerminalMeter as FourTerminalMeter
 from eitskin.simulator.instrument.meter_fit import (
@@ -24,10 +28,6 @@ from eitskin.simulator.instrument.meter_fit import (
     fit_meter as fit_meter,
 )
 from eitskin.simulator.instrument.meter_fit import select_meter as select_meter
-from eitskin.simulator.instrument.session import Session as Session
-from eitskin.simulator.instrument.session import (
-    age_gel as age_gel,
-)
 from eitskin.simulator.mechanics.layer_stack import Mechanics as Mechanics
 from eitskin.simulator.scene.indenters import (
     Cylinder as Cylinder,

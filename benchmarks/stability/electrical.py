@@ -21,7 +21,7 @@ from eitskin.geometry.meshing.mesh import check_quality, quality
 from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design
 from eitskin.simulator import ForwardModel, Protocol
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
-from eitskin.simulator.linalg.elimination_order import OrderName
+from eitskin.simulator.linalg.sparse_structure import OrderName
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]

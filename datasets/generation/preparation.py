@@ -22,15 +22,15 @@ from eitskin.geometry.deformation.fixtures import Clamp, FreeArc
 from eitskin.geometry.design.sensor import SensorDesign, Support
 from eitskin.simulator.bends.bend_table import bend_problems, bend_table
 from eitskin.simulator.bends.pressed_plates import PlateBend, held_by_plates
-from eitskin.simulator.deformation.corrections import (
-    correction_problems,
-    corrections,
-    is_tabulable,
-)
 from eitskin.simulator.deformation.press_table import press_problems, press_table
 from eitskin.simulator.deformation.sensor_grid import SensorGrid
 from eitskin.simulator.deformation.solution_store import Problem, missing
 from eitskin.simulator.deformation.solution_store import prepare as solve_missing
+from eitskin.simulator.deformation.tabled_corrections import (
+    correction_problems,
+    corrections,
+    is_tabulable,
+)
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.indenters import Cylinder, Footprint
 from eitskin.simulator.scene.scene import AnyIndenter

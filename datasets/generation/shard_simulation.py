@@ -24,12 +24,12 @@ from eitskin.geometry.deformation.fixtures import Clamp
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.simulator.bends.bend_table import on_support
-from eitskin.simulator.deformation.corrections import is_tabulable
 from eitskin.simulator.deformation.pressed_sensor import TouchModel
+from eitskin.simulator.deformation.tabled_corrections import is_tabulable
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.electrical.sensor_impedances import without_touches
+from eitskin.simulator.instrument.drift import Session
 from eitskin.simulator.instrument.instrument import Instrument
-from eitskin.simulator.instrument.session import Session
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Simulator
 

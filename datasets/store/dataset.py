@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from eitskin.bounds import require_count, require_seed
 from eitskin.config import toml_table
+from eitskin.datasets.store.frame_tensors import NAMES, FrameTensors
 from eitskin.datasets.store.manifest import Names
 from eitskin.datasets.store.schema import (
     FIELDS,
@@ -23,7 +24,6 @@ from eitskin.datasets.store.schema import (
     check_values,
     frame_bytes,
 )
-from eitskin.datasets.store.touch_map import NAMES, FrameTensors
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.extras import old_names
 from eitskin.files import quote_value

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from eitskin.datasets.store.folder import open_dataset, read_entry
+from eitskin.datasets.store.frame_tensors import NAMES, FrameTensors, Item, checked_names, make_item
 from eitskin.datasets.store.manifest import read_manifest
-from eitskin.datasets.store.touch_map import NAMES, FrameTensors, Item, checked_names, make_item
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require
 

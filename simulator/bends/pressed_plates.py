@@ -31,7 +31,6 @@ from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.design.sensor import Plates, SensorDesign
 from eitskin.simulator.bends import bend_table
 from eitskin.simulator.deformation.contact import BentState, ContactFrame, DentField
-from eitskin.simulator.deformation.correction import Correction
 from eitskin.simulator.deformation.field import CubicSplines, Field
 from eitskin.simulator.deformation.finite_stack import FiniteStack
 from eitskin.simulator.deformation.indentation_tables import (
@@ -57,6 +56,7 @@ from eitskin.simulator.deformation.solution_store import (
     load_or_solve,
 )
 from eitskin.simulator.deformation.solution_table import Axis, SolutionTable
+from eitskin.simulator.deformation.solved_correction import Correction
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.stack_mesh import Fineness
 from eitskin.simulator.scene.indenters import Indenter

@@ -37,7 +37,7 @@ from eitskin.simulator.deformation.contact import (
     HeldContact,
     PunchedArea,
 )
-from eitskin.simulator.deformation.correction import Correction, gel_interpolator, on_grid
+from eitskin.simulator.deformation.solved_correction import Correction, gel_interpolator, on_grid
 from eitskin.simulator.mechanics.box_fields import QuadraticField
 from eitskin.simulator.mechanics.face import Face
 from eitskin.simulator.mechanics.load_stepping import (

@@ -9,11 +9,6 @@ from numpy.typing import NDArray
 
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.deformation import pair_tables
-from eitskin.simulator.deformation.corrections import (
-    TabledSensor,
-    load_table,
-    on_even_base,
-)
 from eitskin.simulator.deformation.field import Field, Frame
 from eitskin.simulator.deformation.node_sums import (
     BOTH_MIRRORED,
@@ -26,6 +21,11 @@ from eitskin.simulator.deformation.node_sums import (
 )
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid
 from eitskin.simulator.deformation.solution_table import SolutionTable
+from eitskin.simulator.deformation.tabled_corrections import (
+    TabledSensor,
+    load_table,
+    on_even_base,
+)
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.indenters import Indenter
 

@@ -18,14 +18,14 @@ from eitskin.simulator.deformation.contact import (
     DentField,
     PunchedArea,
 )
-from eitskin.simulator.deformation.correction import Correction
-from eitskin.simulator.deformation.corrections import is_tabulable
 from eitskin.simulator.deformation.dents import TabulatedDent
 from eitskin.simulator.deformation.finite_stack import FiniteStack, require_on_stack
 from eitskin.simulator.deformation.node_sums import NodeSums
 from eitskin.simulator.deformation.press_table import indenter_samples, press_table
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid
 from eitskin.simulator.deformation.solution_store import Problem, load_or_solve
+from eitskin.simulator.deformation.solved_correction import Correction
+from eitskin.simulator.deformation.tabled_corrections import is_tabulable
 from eitskin.simulator.mechanics import viscoelasticity as relaxation
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.fitted_plan import Contact

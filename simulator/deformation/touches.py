@@ -12,13 +12,6 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import Polygon, Rectangle
 from eitskin.geometry.design.sensor import Free, Plates, SensorDesign
 from eitskin.geometry.design.surface import Surface
-from eitskin.simulator.deformation.correction import Correction
-from eitskin.simulator.deformation.corrections import (
-    correction_problems,
-    corrections,
-    has_strip,
-    rectangle_sums,
-)
 from eitskin.simulator.deformation.dents import (
     BentPresses,
     ColumnField,
@@ -36,6 +29,13 @@ from eitskin.simulator.deformation.pressed_sensor import (
     PressedSensor,
     TouchModel,
     dent_touch,
+)
+from eitskin.simulator.deformation.solved_correction import Correction
+from eitskin.simulator.deformation.tabled_corrections import (
+    correction_problems,
+    corrections,
+    has_strip,
+    rectangle_sums,
 )
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.indenters import Cylinder, Footprint

@@ -46,8 +46,8 @@ from eitskin.simulator.electrical.resolution import (
     suited_cells,
 )
 from eitskin.simulator.electrical.sensitivity import Tensors, pixel_gram
-from eitskin.simulator.linalg.elimination_order import choose_order
 from eitskin.simulator.linalg.multifrontal import MultifrontalSolver
+from eitskin.simulator.linalg.sparse_structure import choose_order
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]

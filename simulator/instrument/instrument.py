@@ -17,8 +17,8 @@ from eitskin.extras import old_names
 from eitskin.geometry.design.dispersion import FREQUENCY
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument import ad5940
+from eitskin.simulator.instrument.drift import GelCourse, RandomWalk, Session
 from eitskin.simulator.instrument.meter import FourTerminalMeter, Quantity
-from eitskin.simulator.instrument.session import GelCourse, RandomWalk, Session
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -1,4 +1,5 @@
-"""Assembly and the direct solver of sparse symmetric systems, electrical and mechanical.
+"""Structure and the direct solver of sparse symmetric systems, electrical and mechanical.
 
-`elimination_order` says in which blocks unknowns are eliminated, `multifrontal` eliminates them.
+`sparse_structure` says where entries are and in which blocks unknowns are eliminated;
+`multifrontal` eliminates them.
 """

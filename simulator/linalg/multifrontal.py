@@ -18,7 +18,7 @@ from scipy.linalg import blas, lapack, ldl, solve_triangular
 from scipy.sparse import csc_array, csr_array
 
 from eitskin.errors import ConfigurationError
-from eitskin.simulator.linalg.elimination_order import Block
+from eitskin.simulator.linalg.sparse_structure import Block
 
 Numbers = NDArray[Any]  # real or complex
 Indices = NDArray[np.int64]

@@ -16,8 +16,8 @@ from eitskin.extras import require
 from eitskin.frame import Frame
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.simulator.deformation.solution_store import Arrays, Problem, load_or_solve
+from eitskin.simulator.instrument.drift import Session
 from eitskin.simulator.instrument.instrument import Instrument
-from eitskin.simulator.instrument.session import Session
 from eitskin.simulator.scene.indenters import Cylinder, Footprint, Sphere, distance
 from eitskin.simulator.scene.scene import AnyIndenter, Scene, Touch
 from eitskin.simulator.simulator import Simulator

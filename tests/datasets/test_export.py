@@ -22,8 +22,8 @@ from eitskin.datasets import (
     save_dataset,
 )
 from eitskin.datasets.export.frame_table import SPLITS, parse_split, specimen_splits
+from eitskin.datasets.store.frame_tensors import NAMES
 from eitskin.datasets.store.manifest import Names
-from eitskin.datasets.store.touch_map import NAMES
 from eitskin.errors import ConfigurationError, DataError
 
 from on_demand import OnDemand

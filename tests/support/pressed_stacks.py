@@ -4,7 +4,7 @@ import numpy as np
 
 from eitskin.geometry import Polygon, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
-from eitskin.simulator.deformation.corrections import rectangle_sums
+from eitskin.simulator.deformation.tabled_corrections import rectangle_sums
 
 THICKNESS = 0.005  # of the gel [m]
 L_SHAPE = Polygon(((0, 0), (0.1, 0), (0.1, 0.05), (0.05, 0.05), (0.05, 0.1), (0, 0.1)))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import DataError
-from eitskin.simulator.instrument.session import DRIFT_TIME
+from eitskin.simulator.instrument.drift import DRIFT_TIME
 from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior, mixture_curve
 from eitskin.training.joint.combinations import Combinations, CombinedChange, log_change
 from eitskin.training.joint.frame_predictions import MATCH_RADIUS

@@ -10,7 +10,7 @@ from scipy.cluster.vq import kmeans2
 from torch import Tensor  # noqa: TID253  see above
 
 from eitskin.training.joint.bend_curve import BendCurvePrior
-from eitskin.training.joint.clamps import ClampCurves
+from eitskin.training.joint.clamp_curves import ClampCurves
 from eitskin.training.joint.mirrored_frames import SCALE, MirroredFrames
 from eitskin.training.joint.networks import (
     DRIFT,

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.compiled import kernels
-from eitskin.datasets.store.touch_map import touch_maps
+from eitskin.datasets.store.frame_tensors import touch_maps
 from eitskin.errors import DataError
 from eitskin.protocol import Protocol
-from eitskin.simulator.instrument.session import DRIFT_TIME
+from eitskin.simulator.instrument.drift import DRIFT_TIME
 from eitskin.threads import one_thread
 from eitskin.training.joint.adaptation import (
     adapted_curve,

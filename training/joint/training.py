@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import DataError
 from eitskin.geometry.design.surface import Surface
-from eitskin.simulator.instrument.session import DRIFT_TIME
+from eitskin.simulator.instrument.drift import DRIFT_TIME
 from eitskin.threads import one_torch_thread
 from eitskin.training.joint.bend_curve import BendCurvePrior
-from eitskin.training.joint.clamps import usual_curves
+from eitskin.training.joint.clamp_curves import usual_curves
 from eitskin.training.joint.combinations import Combinations, SpecimenFeatures
 from eitskin.training.joint.mirrored_frames import (
     MirroredFrames,

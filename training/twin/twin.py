@@ -29,8 +29,8 @@ from eitskin.simulator import (
     Touch,
     fit_meter,
 )
-from eitskin.simulator.deformation.corrections import is_tabulable
 from eitskin.simulator.deformation.sensor_grid import read_fixed
+from eitskin.simulator.deformation.tabled_corrections import is_tabulable
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.instrument import decibels
 from eitskin.simulator.instrument.meter import Parameter

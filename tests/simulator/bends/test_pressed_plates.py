@@ -12,10 +12,10 @@ from eitskin.simulator import Cylinder, Mechanics
 from eitskin.simulator.bends import bend_table, pressed_plates
 from eitskin.simulator.bends.pressed_plates import PlateBend, PlatesCase
 from eitskin.simulator.deformation.contact import ContactFrame, DentField
-from eitskin.simulator.deformation.corrections import rectangle_sums
 from eitskin.simulator.deformation.field import Field
 from eitskin.simulator.deformation.finite_stack import FiniteStack
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID
+from eitskin.simulator.deformation.tabled_corrections import rectangle_sums
 from eitskin.simulator.mechanics.stack_mesh import Fineness
 
 SIZE, SPAN, PUNCH, MECHANICS = Rectangle(0.080, 0.040), 0.020, Cylinder(0.006), Mechanics()

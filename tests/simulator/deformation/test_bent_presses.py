@@ -13,12 +13,12 @@ from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
 from eitskin.simulator.bends import bend_table, pressed_plates
 from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack
 from eitskin.simulator.deformation.contact import ContactFrame, DentField
-from eitskin.simulator.deformation.correction import Correction
 from eitskin.simulator.deformation.finite_stack import DentedSolid, FiniteStack
 from eitskin.simulator.deformation.pressed_sensor import PressedSensor
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID
 from eitskin.simulator.deformation.solution_store import load_or_solve
 from eitskin.simulator.deformation.solution_table import Axis
+from eitskin.simulator.deformation.solved_correction import Correction
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.fitted_plan import Contact
 from eitskin.simulator.mechanics.stack_mesh import Fineness, StackMesh, stack_mesh

@@ -12,15 +12,9 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import Disc, Plates, Polygon, Rectangle, SensorDesign, Substrate
 from eitskin.geometry.design.sensor import Rigid
 from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
-from eitskin.simulator.deformation import corrections as tables
 from eitskin.simulator.deformation import pressed_sensor
 from eitskin.simulator.deformation import solution_store as store
-from eitskin.simulator.deformation.corrections import (
-    Corrections,
-    correction_problems,
-    corrections,
-    is_tabulable,
-)
+from eitskin.simulator.deformation import tabled_corrections as tables
 from eitskin.simulator.deformation.indentation_tables import (
     Indentations,
     solve_disc,
@@ -31,6 +25,12 @@ from eitskin.simulator.deformation.indentation_tables import (
 from eitskin.simulator.deformation.pair_corrections import pair_corrections
 from eitskin.simulator.deformation.pressed_sensor import PressedSensor
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid
+from eitskin.simulator.deformation.tabled_corrections import (
+    Corrections,
+    correction_problems,
+    corrections,
+    is_tabulable,
+)
 from eitskin.simulator.deformation.touches import resolve_touch_model
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.mechanics.stack_mesh import Fineness

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from eitskin.geometry import Disc
-from eitskin.simulator.deformation.corrections import (
-    Corrections,
-)
 from eitskin.simulator.deformation.field import CubicSplines, Field, Frame, Polynomials
 from eitskin.simulator.deformation.node_sums import NodeSums, basis_values
 from eitskin.simulator.deformation.solution_table import Axis, SolutionTable
+from eitskin.simulator.deformation.tabled_corrections import (
+    Corrections,
+)
 
 from pressed_stacks import THICKNESS, corrected, design_on
 

@@ -19,7 +19,7 @@ from eitskin.simulator import (
     Touch,
     age_gel,
 )
-from eitskin.simulator.instrument.session import DAY, DRIFT_TIME, WARMING_TIME, RandomWalk
+from eitskin.simulator.instrument.drift import DAY, DRIFT_TIME, WARMING_TIME, RandomWalk
 from eitskin.simulator.mechanics.touch_history import held_touches, recall_touches
 from eitskin.simulator.mechanics.viscoelasticity import REFERENCE, Prony, elastic_force
 

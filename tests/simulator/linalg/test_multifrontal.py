@@ -5,15 +5,15 @@ import pytest
 from scipy.sparse import csc_array
 
 from eitskin.errors import ConfigurationError
-from eitskin.simulator.linalg import elimination_order
-from eitskin.simulator.linalg.elimination_order import (
+from eitskin.simulator.linalg import sparse_structure
+from eitskin.simulator.linalg.multifrontal import MultifrontalSolver, factorise
+from eitskin.simulator.linalg.sparse_structure import (
     Block,
     choose_order,
     dissection,
     level_structure,
     strips,
 )
-from eitskin.simulator.linalg.multifrontal import MultifrontalSolver, factorise
 
 
 def grid(n, m):
@@ -50,7 +50,7 @@ def blocks_of(order, rows, columns, cells, middles):
     ("order", "leaf"), [("strips", 0), ("dissected", 1), ("dissected", 20), ("dissected", 10**6)]
 )
 def test_solutions_are_those_of_the_dense_matrix(order, leaf, kind, monkeypatch) -> None:
-    monkeypatch.setattr(elimination_order, "_LEAF", leaf)
+    monkeypatch.setattr(sparse_structure, "_LEAF", leaf)
     rng = np.random.default_rng(7)
     cells, middles = grid(9, 5)
     parts = rng.normal(size=(len(cells), 4, 4))
@@ -86,7 +86,7 @@ def indefinite(rng):
 
 @pytest.mark.parametrize("leaf", [1, 60, 1000])
 def test_solutions_and_inertia_are_those_of_an_indefinite_matrix(leaf, monkeypatch) -> None:
-    monkeypatch.setattr(elimination_order, "_LEAF", leaf)
+    monkeypatch.setattr(sparse_structure, "_LEAF", leaf)
     rng = np.random.default_rng(3)
     A, blocks = indefinite(rng)
     found = factorise(csc_array(A), blocks)
@@ -109,7 +109,7 @@ def test_factors_grow_as_n_log_n_in_an_order_that_suits_the_shape(monkeypatch):
     A[5] = A[:, 5] = 0.0
     with pytest.raises(RuntimeError, match="singular"):
         factorise(csc_array(A), blocks)
-    monkeypatch.setattr(elimination_order, "_LEAF", 20)
+    monkeypatch.setattr(sparse_structure, "_LEAF", 20)
 
     def entries(n):
         cells, middles = grid(n, n)

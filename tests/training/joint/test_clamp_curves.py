@@ -6,9 +6,9 @@ import numpy as np
 from made_up_frames import made_up_frames
 from scipy.spatial.distance import cdist
 
-from eitskin.training.joint import clamps
+from eitskin.training.joint import clamp_curves
 from eitskin.training.joint.bend_curve import BendCurvePrior
-from eitskin.training.joint.clamps import ClampCurves
+from eitskin.training.joint.clamp_curves import ClampCurves
 from eitskin.training.joint.mirrored_frames import SCALE
 
 CHANNELS = 3
@@ -86,7 +86,7 @@ def thin_plate_spline(places, values, at):
     linear, linear_at = (np.column_stack([np.ones(len(x)), x]) for x in (places, at))
     whole = np.block(
         [
-            [kernel(places, places) + clamps.SMOOTHING * np.eye(len(places)), linear],
+            [kernel(places, places) + clamp_curves.SMOOTHING * np.eye(len(places)), linear],
             [linear.T, np.zeros((linear.shape[1], linear.shape[1]))],
         ]
     )
@@ -102,8 +102,8 @@ def test_curves_of_drawn_clamps_are_those_of_a_thin_plate_spline_and_near_the_fo
         2.0 * (np.column_stack([each[:, :3], np.log(each[:, 3])]) - low) / (high - low) - 1.0
         for each in (known, others)
     )
-    monkeypatch.setattr(clamps, "SAMPLE_COUNT", len(others))
-    monkeypatch.setattr(clamps, "_sample_smoothly", lambda *_: at)
+    monkeypatch.setattr(clamp_curves, "SAMPLE_COUNT", len(others))
+    monkeypatch.setattr(clamp_curves, "_sample_smoothly", lambda *_: at)
     frames, exact = bent(known), np.repeat(curve(known), 3, axis=0)
     prior = BendCurvePrior.fit(frames)
     without = dataclasses.replace(prior, mean=np.zeros((2, *exact.shape[1:])))

@@ -8,7 +8,7 @@ from scipy.stats import multivariate_normal
 from eitskin.simulator import Protocol
 from eitskin.training.joint.bend_curve import RANDOM_POWERS, BendCurvePrior
 from eitskin.training.joint.channel_faults import possible_faults
-from eitskin.training.joint.clamps import usual_curves
+from eitskin.training.joint.clamp_curves import usual_curves
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.mirrored_frames import SCALE
 from eitskin.training.joint.specimen_model import SpecimenModel

@@ -1,4 +1,4 @@
-"""Touch maps of frames, and frames as tensors: what networks are trained on."""
+"""Frames as tensors, and maps of their touches: what networks are trained on."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any

@@ -1,4 +1,4 @@
-"""Bend curves of clamps between those of the training set.
+"""Bend curves of clamps between those of the training set, and of the usual clamp.
 
 A set holds some dozens of clamps, whose bends are solved one by one; networks trained on these
 alone learn each exactly. The mean curve of a clamp is a smooth function of its free length, axis,

@@ -1,4 +1,4 @@
-"""Measurement session of one board, from one calibration to the next, and its gel's changes.
+"""Drift: walks, a gel that warms and dries, and the session of a board that measures it.
 
 Ions of a gel move faster by 2 % a kelvin, as in water (ISO 7888). They stay when water leaves,
 and are hindered by the polymer: a share f of it leaves them ((1 - f) / (1 + f))^2 of their

@@ -1,4 +1,4 @@
-"""Correction of dents in a finite stack: a field on the grid of its mesh."""
+"""Correction of dents in a finite stack as it was solved: a field on the grid of its mesh."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
