@@ -64,20 +64,6 @@ def whole(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_two_workers_of_which_one_is_killed_while_writing_make_the_same_bytes(
-    whole, tmp_path, monkeypatch
-):
-    monkeypatch.setattr(generation, "make_shard", killed_once)
-    reports, folder = [], tmp_path / "set"
-    generate(RECIPE, folder, 2, lambda *report: reports.append(report))
-    assert was_killed(folder)
-    assert reports[0] == (0, 14)
-    assert sorted(reports) == reports
-    assert reports[-1] == (14, 14)
-    assert contents(folder) == contents(whole)
-
-
-@pytest.mark.slow
 def test_frames_are_what_the_recipe_says_and_the_simulator_measures(whole):
     """With white noise of the instrument's size in frames and references, each by itself."""
     data = open_dataset(whole)
@@ -301,7 +287,7 @@ def test_a_disk_that_fails_is_a_clean_error(whole, tmp_path, monkeypatch, code, 
     assert contents(out) == sound
 
 
-# Shards made by dask workers and by single calls
+# Shards made by worker processes, dask workers and single calls
 
 
 distributed, dask = OnDemand("distributed"), OnDemand("dask")
@@ -321,6 +307,20 @@ FLAT_RECIPE = Recipe(
 def flat_files(tmp_path_factory):
     """The set made in this process, file by file."""
     return contents(made_here(FLAT_RECIPE, tmp_path_factory.mktemp("cluster") / "whole"))
+
+
+@pytest.mark.slow
+def test_two_workers_of_which_one_is_killed_while_writing_make_the_same_bytes(
+    flat_files, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(generation, "make_shard", killed_once)
+    reports, folder = [], tmp_path / "set"
+    generate(FLAT_RECIPE, folder, 2, lambda *report: reports.append(report))
+    assert was_killed(folder)
+    assert reports[0] == (0, 24)
+    assert sorted(reports) == reports
+    assert reports[-1] == (24, 24)
+    assert contents(folder) == flat_files
 
 
 @pytest.fixture(scope="module")
