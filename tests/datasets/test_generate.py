@@ -309,20 +309,6 @@ def flat_files(tmp_path_factory):
     return contents(made_here(FLAT_RECIPE, tmp_path_factory.mktemp("cluster") / "whole"))
 
 
-@pytest.mark.slow
-def test_two_workers_of_which_one_is_killed_while_writing_make_the_same_bytes(
-    flat_files, tmp_path, monkeypatch
-):
-    monkeypatch.setattr(generation, "make_shard", killed_once)
-    reports, folder = [], tmp_path / "set"
-    generate(FLAT_RECIPE, folder, 2, lambda *report: reports.append(report))
-    assert was_killed(folder)
-    assert reports[0] == (0, 24)
-    assert sorted(reports) == reports
-    assert reports[-1] == (24, 24)
-    assert contents(folder) == flat_files
-
-
 @pytest.fixture(scope="module")
 def local_cluster():
     """A scheduler and two worker processes, whose BLAS would use two threads."""
@@ -338,13 +324,17 @@ def local_cluster():
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_workers_of_a_cluster_of_which_one_is_killed_while_writing_make_the_same_bytes(
-    flat_files, local_cluster, tmp_path, monkeypatch
+@pytest.mark.parametrize("cluster", [False, True], ids=["processes", "cluster"])
+def test_two_workers_of_which_one_is_killed_while_writing_make_the_same_bytes(
+    flat_files, tmp_path, monkeypatch, request, cluster
 ):
     monkeypatch.setattr(generation, "make_shard", killed_once)
-    folder = tmp_path / "set"
-    generate(FLAT_RECIPE, folder, scheduler=local_cluster.scheduler_address)
+    scheduler = request.getfixturevalue("local_cluster").scheduler_address if cluster else None
+    reports, folder = [], tmp_path / "set"
+    generate(FLAT_RECIPE, folder, 2, lambda *report: reports.append(report), scheduler=scheduler)
     assert was_killed(folder)
+    assert (reports[0], reports[-1]) == ((0, 24), (24, 24))
+    assert sorted(reports) == reports
     assert contents(folder) == flat_files
 
 

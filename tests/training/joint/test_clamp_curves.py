@@ -46,11 +46,6 @@ def bent(clamps, each=3, seed=2, feature=0.3):
     return made_up_frames(change, np.tile(ANGLES, len(made)), number, NOISE, **more)
 
 
-def learned(frames, seed=0):
-    prior = BendCurvePrior.fit(frames)
-    return ClampCurves.fit(frames, prior, prior.expected_coefficients(frames), seed)
-
-
 def at_40(coefficients):
     powers = (40.0 / SCALE) ** np.arange(1, coefficients.shape[1] + 1)
     return np.einsum("p,npk->nk", powers, coefficients)
@@ -69,7 +64,8 @@ def test_curves_of_clamps_are_those_of_their_specimens_and_unknown_ones_left_alo
     frames = bent(made)
     unknown = frames.specimen % 3 == 0
     frames = dataclasses.replace(frames, clamp=np.where(unknown[:, None], np.nan, frames.clamp))
-    found = learned(frames)
+    prior = BendCurvePrior.fit(frames)
+    found = ClampCurves.fit(frames, prior, prior.expected_coefficients(frames), 0)
     assert np.array_equal(found.known, np.arange(120) % 3 != 0)
     assert not found.own[~found.known].any()
     scatter = rms(expected(made) - expected(made).mean(axis=0))
@@ -94,7 +90,7 @@ def thin_plate_spline(places, values, at):
     return np.column_stack([kernel(at, places), linear_at]) @ weights
 
 
-def test_curves_of_drawn_clamps_are_those_of_a_thin_plate_spline_and_near_the_formula(monkeypatch):
+def test_curves_of_drawn_clamps_are_those_of_a_thin_plate_spline(monkeypatch):
     ends = np.array([[0.025, 0.004, 1.0, 0.7], [0.060, 0.014, 2.0, 2.8]])
     known, others = np.concatenate([ends, clamps_of(60)]), clamps_of(30, seed=9)
     low, high = (np.append(end[:3], np.log(end[3])) for end in ends)
@@ -104,13 +100,9 @@ def test_curves_of_drawn_clamps_are_those_of_a_thin_plate_spline_and_near_the_fo
     )
     monkeypatch.setattr(clamp_curves, "SAMPLE_COUNT", len(others))
     monkeypatch.setattr(clamp_curves, "_sample_smoothly", lambda *_: at)
-    frames, exact = bent(known), np.repeat(curve(known), 3, axis=0)
+    frames, exact = bent(known, each=1), curve(known)
     prior = BendCurvePrior.fit(frames)
     without = dataclasses.replace(prior, mean=np.zeros((2, *exact.shape[1:])))
     found = ClampCurves.fit(frames, without, exact, 0).drawn.reshape(len(others), -1)
-    spline = thin_plate_spline(places, exact[::3].reshape(len(known), -1), at)
+    spline = thin_plate_spline(places, exact.reshape(len(known), -1), at)
     np.testing.assert_allclose(found, spline, atol=1e-9 * np.abs(spline).max())
-    bends = prior.expected_coefficients(frames)
-    found = at_40(ClampCurves.fit(frames, prior, bends, 0).drawn)
-    scatter = rms(expected(others) - expected(others).mean(axis=0))
-    assert rms(found - expected(others)) < 0.05 * scatter

@@ -191,11 +191,6 @@ def test_the_scale_of_strange_sensors_is_found_again(scale):
 
 
 SIZE, RADIUS = (0.150, 0.060), 0.0075
-FINE = (240, 600)  # pixels of 0.25 mm
-
-
-def drawn(places, deviations, shape=FINE):
-    return disc_map(np.array(places), np.array(deviations), RADIUS, SIZE, shape)
 
 
 @pytest.mark.parametrize("deviation", [0.0, 4e-4, 0.003, 0.02])
@@ -208,5 +203,5 @@ def test_map_is_that_of_the_plain_formula(deviation):
     for px, py in places:
         away = np.sqrt((x - px) ** 2 + (y[:, None] - py) ** 2)
         free *= norm.sf((RADIUS - away) / max(deviation, 1e-6))
-    said = drawn(places, [deviation] * 3, shape)
+    said = disc_map(np.array(places), np.full(3, deviation), RADIUS, SIZE, shape)
     np.testing.assert_allclose(said, 1.0 - free, atol=1e-7)

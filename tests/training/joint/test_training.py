@@ -147,32 +147,6 @@ def test_standard_errors_of_places_are_scaled_by_specimens_held_out(trained):
         np.testing.assert_allclose(after.deviation, expected, rtol=0.15)
 
 
-@pytest.mark.slow
-def test_a_sensor_that_is_never_bent():
-    """No bend curve, no references either: the flat sensor is the reference of every frame."""
-    data = dataset(620)
-    data = data.select(data.bend_angle_deg == 0)
-    data = replace(data, touch_reference=np.full_like(data.touch_reference, np.nan))
-    settings = JointSettings(
-        response=NetworkSettings(1e-2, epochs=4, batch=48),
-        proposals=NetworkSettings(1e-2, epochs=1, batch=32),
-    )
-    with small_networks(steps=4):
-        method = fit_joint(JointMethod, data, LAYOUT, settings)
-    method = type(method).from_arrays(method.arrays(), LAYOUT)
-    assert method.targets == Targets(("idle", "touch"), angle=False)
-    unseen = data.select(slice(30))
-    said = method.predict(Observations.from_dataset(unseen))
-    assert np.mean(said.state == unseen.state) > 0.8
-    for unknown in (said.bend_angle_deg, said.bend_deviation_deg, said.probabilities[:, 2]):
-        assert np.isnan(unknown).all()
-    assert np.isfinite(said.probabilities[:, :2]).all()
-    assert all(np.isfinite(found.force).all() for found in said.touches)
-    flat = np.abs(data.reference[0]).astype(float)
-    told = method.adapt(known_frames(flat, 1, np.full((1, len(flat)), 0.01), [20.0]))[1]
-    assert (told.bends, told.left_out) == (0, 1)
-
-
 def restored(method):
     return type(method).from_arrays(method.arrays(), LAYOUT)
 
@@ -188,24 +162,32 @@ BRIEF = JointSettings(
 
 
 @pytest.mark.slow
-def test_touches_without_forces_of_two_specimens():
-    """Places are learned with a strength in place of the force, which is never told as a force.
-
-    Two specimens are too few for latent variables.
+def test_a_sensor_that_is_never_bent_and_touches_without_forces_of_two_specimens():
+    """The flat sensor is the reference of every frame. Places are learned with a strength in place
+    of the force, which is never told as a force. Two specimens are too few for latent variables.
     """
     data = without_forces(dataset(specimens=2))
+    data = data.select(data.bend_angle_deg == 0)
+    data = replace(data, touch_reference=np.full_like(data.touch_reference, np.nan))
     with small_networks(steps=10):
         method = restored(fit_joint(JointMethod, data, LAYOUT, BRIEF))
-    assert method.targets == Targets(force=False)
-    unseen = dataset(60, specimens=2, seed=0)
+    assert method.targets == Targets(("idle", "touch"), angle=False, force=False)
+    unseen = dataset(90, specimens=2)
+    unseen = unseen.select(unseen.bend_angle_deg == 0)
     said = method.predict(Observations.from_dataset(unseen))
     assert np.mean(said.state == unseen.state) > 0.9
+    for unknown in (said.bend_angle_deg, said.bend_deviation_deg, said.probabilities[:, 2]):
+        assert np.isnan(unknown).all()
+    assert np.isfinite(said.probabilities[:, :2]).all()
     single = np.flatnonzero((unseen.touch_count == 1) & [len(t) > 0 for t in said.touches])
     assert len(single) > 10
     true = np.stack([unseen.touch_x, unseen.touch_y], axis=2)[single, 0]
     found = np.array([said.touches[i].place[0] for i in single])
     assert np.median(np.hypot(*(found - true).T)) < 0.008
     assert all(np.isnan(touches.force).all() for touches in said.touches)
+    flat = np.abs(data.reference[0]).astype(float)
+    told = method.adapt(known_frames(flat, 1, np.full((1, len(flat)), 0.01), [20.0]))[1]
+    assert (told.bends, told.left_out) == (0, 1)
 
 
 @pytest.mark.slow

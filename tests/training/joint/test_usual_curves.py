@@ -34,10 +34,6 @@ def frames(alike, various, seed=1, spread=0.03):
     return made_up_frames(change, np.tile(ANGLES, count), number, NOISE)
 
 
-def learned(data):
-    return BendCurvePrior.fit(data)
-
-
 @pytest.fixture(scope="module")
 def mixture():
     return frames(160, 140)
@@ -45,7 +41,7 @@ def mixture():
 
 @pytest.fixture(scope="module")
 def everywhere(mixture):
-    return learned(mixture)
+    return BendCurvePrior.fit(mixture)
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +55,7 @@ def usual(mixture, everywhere):
 def test_likelihood_of_a_specimen_is_that_of_a_normal_vector():
     """Beside the whole covariance of its frames, written out."""
     mixture = frames(12, 8)
-    everywhere = learned(mixture)
+    everywhere = BendCurvePrior.fit(mixture)
     told = everywhere.log_likelihood(mixture)
     powers = (ANGLES[:, None] / SCALE) ** np.arange(1, RANDOM_POWERS + 1)
     weights = np.kron(powers, np.eye(CHANNELS))
@@ -79,7 +75,7 @@ def test_likelihood_of_a_specimen_is_that_of_a_normal_vector():
 @pytest.mark.slow
 def test_the_group_that_bends_alike_is_found(mixture, usual):
     alike = mixture[mixture.specimen < 160]
-    by_hand = learned(alike)
+    by_hand = BendCurvePrior.fit(alike)
     size = np.trace(by_hand.covariance)
     assert np.trace(usual.covariance) == pytest.approx(size, rel=0.013)
     np.testing.assert_allclose(
@@ -94,7 +90,7 @@ def test_the_group_that_bends_alike_is_found(mixture, usual):
 def test_no_group_is_found_where_none_is(alike, various):
     """Too few alike, all of one clamp, none alike, or too few specimens altogether."""
     data = frames(alike, various)
-    assert usual_curves(data, learned(data)) is None
+    assert usual_curves(data, BendCurvePrior.fit(data)) is None
 
 
 # Two hypotheses of one frame

@@ -13,6 +13,7 @@ from safetensors.numpy import load_file, save_file
 from eitskin.cli.commands import train
 from eitskin.errors import ConfigurationError, DataError, EitskinError
 from eitskin.training import NetworkSettings, Pipeline, TrainingSettings
+from eitskin.training.method import input_spec
 from eitskin.training.pipeline.saved_form import (
     SHIPPED_PATH,
     SUMS,
@@ -57,8 +58,9 @@ def array(name, change):
 
 
 @pytest.mark.slow
-def test_a_loaded_pipeline_is_the_one_that_was_saved(tmp_path):
-    """Of sixty frames: what is learned from them does not matter here."""
+def test_a_loaded_pipeline_is_the_one_that_was_saved(tmp_path, monkeypatch):
+    """Of sixty frames and few pixels: what is learned from them does not matter here."""
+    monkeypatch.setattr(input_spec, "PIXELS", 640)
     dataset, brief = frames(60, most=1, specimens=1), NetworkSettings(1e-3, epochs=1, batch=32)
     settings = TrainingSettings(classifier=brief, postprocessor=brief, seed=3)
     pipeline = Pipeline.fit(dataset, settings)
