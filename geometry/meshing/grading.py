@@ -27,15 +27,17 @@ class Grading:
         coarsest: cell size far from them [m].
         growth: increase of cell size per distance from the nearest edge.
         layers: cells through each conductive sheet, where no electrode edge asks for more.
+        level: cell height at level electrode edges [m]; `finest` when omitted.
     """
 
     finest: float
     coarsest: float
     growth: float
     layers: int = 1
+    level: float | None = None
 
     def __post_init__(self) -> None:
-        sizes = (self.finest, self.coarsest, self.growth)
+        sizes = (self.finest, self.coarsest, self.growth, self.level or self.finest)
         if not all(math.isfinite(s) and s > 0 for s in sizes) or self.finest > self.coarsest:
             raise ConfigurationError(
                 "grading needs 0 < finest <= coarsest in m and a positive growth, got "

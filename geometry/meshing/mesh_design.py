@@ -128,19 +128,26 @@ def _edge_heights(electrode: Electrode, thickness: float) -> tuple[float, ...]:
     return (float({"top": thickness, "bottom": 0.0}.get(electrode.on, electrode.z or 0.0)),)
 
 
+def level_edges(design: SensorDesign) -> set[float]:
+    """Heights of the level edges of all electrodes, where potentials are singular [m]."""
+    return {z for each in design.electrodes for z in _edge_heights(each, design.thickness)}
+
+
 def layer_heights(design: SensorDesign, grading: Grading, faces: Sequence[float] = ()) -> Lines:
     """Heights of the layers of points, through sheets, `faces` and graded to electrode edges [m].
 
     Where electrodes span the full thickness, every sheet has `grading.layers` equal cells.
     """
     thickness = design.thickness
-    edges = {z for electrode in design.electrodes for z in _edge_heights(electrode, thickness)}
+    edges = level_edges(design)
     interfaces = np.cumsum([layer.thickness for layer in design.layers])[:-1]
     within = [z for z in faces if 0.0 < z < thickness]
     interfaces = np.unique(np.concatenate([interfaces, within]).round(12))
     if edges:
-        largest = max(min(grading.coarsest, thickness / grading.layers), grading.finest)
-        return graded_lines(thickness, edges, interfaces, replace(grading, coarsest=largest))
+        finest = grading.level or grading.finest
+        largest = max(min(grading.coarsest, thickness / grading.layers), finest)
+        upright = replace(grading, finest=finest, coarsest=largest)
+        return graded_lines(thickness, edges, interfaces, upright)
     sheets = np.array([0.0, *interfaces, thickness])
     steps = [np.linspace(a, b, grading.layers + 1)[:-1] for a, b in itertools.pairwise(sheets)]
     return np.concatenate([*steps, [thickness]])

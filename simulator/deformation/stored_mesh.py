@@ -42,7 +42,7 @@ def stored_mesh(
         "body": hashlib.sha256(body).hexdigest(),
         "thickness": design.thickness,
         "electrodes": hashlib.sha256(edges).hexdigest(),
-        "grading": list(astuple(grading)),
+        "grading": list(astuple(grading)[:4]),
     }
 
     def solve() -> Arrays:

@@ -17,9 +17,10 @@ Unknowns inside an element are coupled to no other element and are eliminated in
 condensation, Guyan 1965).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import skfem
@@ -120,37 +121,52 @@ class Assembly:
 
     def _prepare_elements(self) -> None:
         space = self.space
-        products = self._products(space.rule)
-        shares = space.rule.weights.reshape(len(products), -1, 1, 1)
-        shares = _MISSED_ENERGY_SHARE * shares / shares.sum(axis=1, keepdims=True)
-        missed = self._products(space.full_rule).sum(axis=1) - products.sum(axis=1)
-        products += shares * missed[:, None]
-        self._reference = products.reshape(-1, *missed.shape[1:])
-        self._cell_reference = products.sum(axis=1)
-        self._to_reference = tensor_map(space.inverses) * space.jacobians[:, None, None]
+        gradients = self._cell_gradients(space.rule)
+        full_gradients = self._cell_gradients(space.full_rule)
+        weights, full_weights = (
+            rule.weights.reshape(space.element.cells, -1) for rule in (space.rule, space.full_rule)
+        )
+        # Most upright functions are zero in most cells, and so are most products.
+        self._reference: list[Array] = []
+        self._entries: list[slice | Indices] = []
+        for cell, slopes in enumerate(gradients):
+            alive = np.flatnonzero(slopes.any(axis=(1, 2)) | full_gradients[cell].any(axis=(1, 2)))
+            rows, columns, entries = self._entries_among(alive)
+            products = _products(weights[cell], slopes, rows, columns)
+            missed = _products(full_weights[cell], full_gradients[cell], rows, columns).sum(axis=0)
+            missed -= products.sum(axis=0)
+            shares = _MISSED_ENERGY_SHARE * weights[cell] / weights[cell].sum()
+            products += shares[:, None, None] * missed
+            self._reference.append(products)
+            self._entries.append(slice(None) if len(alive) == len(slopes) else entries)
+        self._cell_reference = [each.sum(axis=0, keepdims=True) for each in self._reference]
+        self._to_reference: Array = tensor_map(space.inverses) * space.jacobians[:, None, None]
         self._element_rows, self._element_columns = self._lower(space.numbers)
 
-    def _products(self, rule: Rule) -> Array:
-        """Weighted S_ab d_a phi_i d_b phi_j for six unit tensors S, (cells, q, 6, entries).
+    def _cell_gradients(self, rule: Rule) -> Array:
+        """Gradients of all functions at the points of each cell, (cells, functions, 3, q)."""
+        gradients = self.space.element.gradients(rule.X)
+        by_cell = gradients.reshape(*gradients.shape[:2], self.space.element.cells, -1)
+        return np.ascontiguousarray(np.moveaxis(by_cell, 2, 0))
+
+    def _entries_among(self, functions: Indices) -> tuple[Indices, Indices, Indices]:
+        """Rows, columns and numbers of the entries of element matrices among some functions.
 
         Entries are the lower triangle of the outer functions, then the rows of the inner ones.
         """
-        gradients = self.space.element.gradients(rule.X)
-        i, j = self._pairs
-        outer, count = self.space.numbers.shape[1], len(gradients)
-        inner = np.arange(outer, count)
-        rows = np.concatenate([i, np.repeat(inner, outer), np.repeat(inner, len(inner))])
-        columns = np.concatenate([j, np.tile(np.arange(outer), len(inner))])
-        columns = np.concatenate([columns, np.tile(inner, len(inner))])
-        products = np.empty((len(rule.weights), len(TENSOR_ROWS), len(rows)))
-        at_points = zip(rule.weights, gradients.transpose(2, 1, 0), products, strict=True)
-        for weight, slopes, found in at_points:  # small arrays stay in the processor's cache
-            row_slopes, column_slopes = (weight * slopes)[:, rows], slopes[:, columns]
-            for s, (a, b) in enumerate(zip(TENSOR_ROWS, TENSOR_COLUMNS, strict=True)):
-                np.multiply(row_slopes[a], column_slopes[b], out=found[s])
-                if a != b:
-                    found[s] += row_slopes[b] * column_slopes[a]
-        return products.reshape(self.space.element.cells, -1, *products.shape[1:])
+        outer = self.space.numbers.shape[1]
+        inner = self.space.element.inner
+        own, hidden = functions[functions < outer], functions[functions >= outer]
+        i, j = np.tril_indices(len(own))
+        triangle = len(self._pairs[0])
+        rows = [own[i], np.repeat(hidden, len(own)), np.repeat(hidden, len(hidden))]
+        columns = [own[j], np.tile(own, len(hidden)), np.tile(hidden, len(hidden))]
+        numbers = [
+            self._whole[rows[0], columns[0]],
+            triangle + (rows[1] - outer) * outer + columns[1],
+            triangle + inner * outer + (rows[2] - outer) * inner + columns[2] - outer,
+        ]
+        return np.concatenate(rows), np.concatenate(columns), np.concatenate(numbers)
 
     def _prepare_electrodes(self, contacts: Contacts) -> None:
         space = self.space
@@ -194,25 +210,38 @@ class Assembly:
                 value per cell or per quadrature point; a scalar, or the entries xx, yy, zz, xy, xz,
                 yz of a tensor.
         """
-        reference: Numbers = self._reference if conductivity.shape[1] > 1 else self._cell_reference
+        reference: Sequence[Numbers] = (
+            self._reference if conductivity.shape[1] > 1 else self._cell_reference
+        )
         to_reference: Numbers = self._to_reference
         count = len(to_reference)
         if conductivity.dtype == np.float32:
-            to_reference, reference = self._single
+            reference, to_reference = self._single
         if conductivity.shape[2] == 1:
             unit = to_reference[:, :3].sum(axis=1)  # the unit tensor, pulled back
             if not unit[:, 3:].any():  # diagonal, as on boxes
-                unit, reference = unit[:, :3], reference[:, :3]
-            entries = conductivity.reshape(count, -1, 1) * unit[:, None]
+                unit, reference = unit[:, :3], [each[:, :3] for each in reference]
+            tensors = conductivity.reshape(count, -1, 1) * unit[:, None]
         else:
-            entries = conductivity.reshape(count, -1, 6) @ to_reference
-        matrices: Numbers = entries.reshape(count, -1) @ reference.reshape(-1, reference.shape[-1])
+            tensors = conductivity.reshape(count, -1, 6) @ to_reference
+        parts: list[Numbers] = [
+            part.reshape(count, -1) @ each.reshape(-1, each.shape[-1])
+            for part, each in zip(np.split(tensors, len(reference), axis=1), reference, strict=True)
+        ]
+        if len(parts) == 1:
+            return parts[0]
+        inner, outer = self.space.element.inner, self.space.numbers.shape[1]
+        shape = count, len(self._pairs[0]) + inner * (outer + inner)
+        matrices: NDArray[Any] = np.zeros(shape, dtype=parts[0].dtype)
+        for entries, part in zip(self._entries, parts, strict=True):
+            matrices[:, entries] += part
         return matrices
 
     @cached_property
-    def _single(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Maps to the reference element, and its matrices, in single precision."""
-        return self._to_reference.astype(np.float32), self._reference.astype(np.float32)
+    def _single(self) -> tuple[list[NDArray[np.float32]], NDArray[np.float32]]:
+        """Reference matrices, and maps to the reference element, in single precision."""
+        single = [each.astype(np.float32) for each in self._reference]
+        return single, self._to_reference.astype(np.float32)
 
     def condensed_matrices(self, matrices: Numbers) -> Numbers:
         """Static condensation of element matrices (elements, entries).
@@ -353,6 +382,25 @@ class Assembly:
         gradients = np.einsum("eqak,eab->eqbk", gradients, inverses, optimize=True)
         shaped: Numbers = gradients.reshape(-1, *rule.points.shape[1:], potentials.shape[-1])
         return shaped
+
+
+def _products(weights: Array, gradients: Array, rows: Indices, columns: Indices) -> Array:
+    """Weighted S_ab d_a phi_i d_b phi_j for six unit tensors S, (q, 6, entries).
+
+    Args:
+        weights: quadrature weights, (q,).
+        gradients: gradients at the points, (functions, 3, q).
+        rows, columns: functions i and j of each entry.
+    """
+    products = np.empty((len(weights), len(TENSOR_ROWS), len(rows)))
+    at_points = zip(weights, gradients.transpose(2, 1, 0), products, strict=True)
+    for weight, slopes, found in at_points:  # small arrays stay in the processor's cache
+        row_slopes, column_slopes = (weight * slopes)[:, rows], slopes[:, columns]
+        for s, (a, b) in enumerate(zip(TENSOR_ROWS, TENSOR_COLUMNS, strict=True)):
+            np.multiply(row_slopes[a], column_slopes[b], out=found[s])
+            if a != b:
+                found[s] += row_slopes[b] * column_slopes[a]
+    return products
 
 
 def scatter_sum(positions: Indices, values: Numbers, size: int) -> Numbers:

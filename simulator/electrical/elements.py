@@ -104,6 +104,12 @@ class ExtrudedElement:
             return 0
         return sum(p.interior_dofs * self.modes(d) for d, p in enumerate(self.planes))
 
+    @property
+    def most_in_cell(self) -> int:
+        """Number of functions that are not zero in a cell, in the cell with most."""
+        upright = [1, min(2, self.cells), *(1 for _ in self.order[2:])]
+        return sum(len(p.doflocs) * n for p, n in zip(self.planes, upright, strict=False))
+
     def modes(self, degree: int) -> int:
         """Number of upright functions of a degree."""
         return 1 if degree == 0 else self.cells
@@ -232,6 +238,7 @@ class TetrahedralElement:
     Attributes:
         element: the scikit-fem element.
         face_degree: polynomial degree of the functions on a face.
+        most_in_cell: number of functions.
     """
 
     inner, cells = 0, 1
@@ -245,6 +252,7 @@ class TetrahedralElement:
             )
         self.element, self.face_degree = elements[order](), order
         self._functions = range(len(self.element.doflocs))
+        self.most_in_cell = len(self._functions)
 
     def indicator(self, low: float, high: float) -> Array:  # noqa: ARG002
         """Coefficients, (functions,), of the constant function one, whatever the heights."""

@@ -19,7 +19,7 @@ MAX_MEMORY = 8e9  # [byte]
 # 80,000 unknowns (misfits up to 1.4), and of one of tetrahedra.
 _PER_ENTRY = 80.0  # of the element matrices: values, rows, columns, and copies to sort
 _PER_ENTRY_OF_TETRAHEDRA = 150.0
-_PER_PRODUCT = 110.0  # of the reference matrix, at each quadrature point of an element
+_PER_PRODUCT = 110.0  # of a cell's reference matrix, at each of its quadrature points
 _PER_POINT = 300.0  # deformation gradients and tensors
 _PER_FACTOR = 7.5  # numbers of both factors, and their rows
 
@@ -211,7 +211,7 @@ def estimated_memory(space: FunctionSpace) -> float:
     8.6 n^(4/3) entries for tetrahedra, as those of a body.
     """
     elements, outer = space.numbers.shape
-    functions, n = outer + space.element.inner, float(space.unknowns)
+    functions, n = space.element.most_in_cell, float(space.unknowns)
     in_element = len(space.rule.weights)
     if isinstance(space.element, ExtrudedElement):
         across, per_entry = n / elements, _PER_ENTRY

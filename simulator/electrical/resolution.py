@@ -9,7 +9,12 @@ import numpy as np
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.geometry.meshing.mesh_design import CellKind, electrode_lines, natural_cells
+from eitskin.geometry.meshing.mesh_design import (
+    CellKind,
+    electrode_lines,
+    level_edges,
+    natural_cells,
+)
 from eitskin.simulator.scene.indenters import Cylinder, Indenter
 
 Resolution = Literal["coarse", "fast", "standard", "fine"]
@@ -27,6 +32,7 @@ class _ResolutionSettings(NamedTuple):
         coarsest: coarsest cell, relative to the body's shorter side.
         growth: growth of the cells from the electrode edges.
         per_press: coarsest cell, relative to the length over which a press varies.
+        layers: fewest cells through the thickness.
     """
 
     order: tuple[int, ...]
@@ -34,6 +40,7 @@ class _ResolutionSettings(NamedTuple):
     coarsest: float
     growth: float
     per_press: float
+    layers: int = 1
 
 
 # `eitskin bench accuracy` measures cost and error of each resolution.
@@ -45,6 +52,14 @@ _COLUMNS = {
 }
 # Electrodes on top of a rectangle, where currents turn within the layer.
 _PADS = _COLUMNS | {"fast": _ResolutionSettings((3, 3, 2, 1), 0.2, 0.1, 2.0, 0.62)}
+# Electrodes on the side lower than the layer, over whose height currents turn: all parts along the
+# height have the same order. The growth of cells decides about the error, the finest cell hardly.
+_LEVELS = {
+    "coarse": _ResolutionSettings((3, 3, 3), 0.64, 0.136, 3.0, 0.85),
+    "fast": _ResolutionSettings((3, 3, 3), 0.32, 0.136, 2.0, 0.85),
+    "standard": _ResolutionSettings((4, 4, 4), 0.32, 0.11, 2.0, 0.68, 6),
+    "fine": _ResolutionSettings((4, 4, 4, 4), 0.2, 0.1, 2.0, 0.6, 6),
+}
 # Triangles are refined around electrode edges only, not along whole lines, and can be finer.
 _PRISMS = {
     "coarse": _ResolutionSettings((4, 3, 2), 0.12, 0.23, 1.7, 1.4),
@@ -141,14 +156,21 @@ def discretisation(
     named = _SETTINGS_BY_NAME[cells][resolution]
     if cells == "hexahedra" and not _on_sides(design):
         named = _PADS[resolution]
-    extents = [e.width for e in design.electrodes]
-    extents += [e.height for e in design.electrodes if e.height is not None]
+    elif cells == "hexahedra" and level_edges(design):
+        named = _LEVELS[resolution]
+    widths = [e.width for e in design.electrodes]
+    heights = [e.height for e in design.electrodes if e.height is not None]
+    level = None
+    if named in _LEVELS.values():
+        level = named.finest * min(heights)
+    else:
+        widths += heights
     largest = named.coarsest * min(design.outline.length, design.outline.width)
     largest = min(largest, named.per_press * press_length(design, Cylinder()))
     if indenter is not None:
         cell_size = named.per_press * press_length(design, indenter)
         while cell_size < _SUFFICIENT * largest:
             largest /= _STEP
-    layers = max(1, math.ceil(design.thickness / largest - 0.5))
-    finest = min(named.finest * min(extents), largest)
-    return named.order, Grading(finest, largest, named.growth, layers)
+    layers = max(named.layers, math.ceil(design.thickness / largest - 0.5))
+    finest = min(named.finest * min(widths), largest)
+    return named.order, Grading(finest, largest, named.growth, layers, level)
