@@ -57,6 +57,9 @@ def extremes(quick: bool) -> Iterator[Case]:
     for name, (design, mechanics, touch) in list(flat.items())[:1] if quick else flat.items():
         solve = partial(_compare, design, mechanics, Scene(touches=(touch,)))
         yield Case(name, solve, None, error_limit=_UNSTATED)
+    solve = partial(_compare, thin, stiff, Scene(touches=(small,)))
+    name = "ball of 2 mm, cover of 0.3 mm, 100 times as stiff"
+    yield Case(name, solve, "refused", "no touch compared")
     on_plates = dataclasses.replace(SensorDesign.reference(), support=Plates())
     for x in () if quick else (0.045, 0.075):
         scene = Scene(Bend(50.0), (Touch(x, 0.030, 12.0, cylinder),))

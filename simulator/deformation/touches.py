@@ -270,7 +270,16 @@ def _touch_pairs(scenes: list[_DentedScene]) -> list[tuple[int, int]]:
 
 
 def require_model(touches: tuple[Touch, ...], sensor: PressedSensor) -> None:
-    """Raise ConfigurationError for tables of touches whose corrections cannot be tabulated."""
+    """Raise ConfigurationError for tables of touches whose corrections cannot be tabulated.
+
+    So do touches of which neither cover nor moduli nor indenter is like any compared.
+    """
+    for touch in touches:
+        reasons = uncompared_properties(touch.indenter, sensor)
+        if len(reasons) > 2:  # beyond all three properties at once
+            raise ConfigurationError(
+                f"no touch compared is like one with {', '.join(reasons)}; change one of these"
+            )
     if touches and sensor.model == "tabulated" and not sensor.is_tabulable:
         outline = type(sensor.design.outline).__name__.lower()
         raise ConfigurationError(

@@ -32,7 +32,11 @@ from eitskin.simulator import (
 )
 from eitskin.simulator.deformation import pressed_sensor
 from eitskin.simulator.deformation.pressed_sensor import PressedSensor
-from eitskin.simulator.deformation.touches import pressed_touches, uncompared_properties
+from eitskin.simulator.deformation.touches import (
+    pressed_touches,
+    require_model,
+    uncompared_properties,
+)
 from eitskin.simulator.mechanics import stack_mesh
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 from eitskin.simulator.mechanics.materials import NeoHookean
@@ -315,3 +319,12 @@ def test_no_error_is_stated_for_stacks_and_indenters_beyond_those_compared(
     found = uncompared_properties(indenter, sensor)
     assert len(found) == bool(words)
     assert words in "".join(found)
+
+
+def test_a_touch_that_is_like_none_compared_is_refused():
+    design = dataclasses.replace(DESIGN, encapsulated_thickness=0.0056)
+    around = NeoHookean(100.0 * Mechanics().gel.shear_modulus)
+    sensor = PressedSensor(design, Mechanics(encapsulation=around))
+    require_model((Touch(X, Y, 0.2),), sensor)
+    with pytest.raises(ConfigurationError, match="no touch compared"):
+        require_model((Touch(X, Y, 0.2, Sphere(0.001)),), sensor)
