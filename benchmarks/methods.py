@@ -96,6 +96,8 @@ def small_recipe(frames: int, specimens: int) -> Recipe:
         name="methods",
         seed=recipe.seed + 90,
         resolution="coarse",
+        reference_frames=1,
+        touch_frames=1,
         specimens=replace(recipe.specimens, count=specimens),
         scenes=tuple(
             replace(group, count=max(specimens, round(share * group.count)))

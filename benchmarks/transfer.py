@@ -164,6 +164,7 @@ def recipes(world: str, seed: int, quick: bool) -> tuple[Recipe, Recipe]:
         seed=SEED + seed,
         specimens=replace(training.specimens, count=count, **spread),
         reference_frames=8,
+        touch_frames=1,
         scenes=count_every_sensor(SENSOR_FRAMES),
     )
     frames = replace(frames, **changes)

@@ -65,15 +65,17 @@ def simulate_frames(recipe: Recipe, indices: Iterable[int]) -> Dataset:
 
     def measure(frame_sample: Sample) -> tuple[Impedance, NDArray[np.uint8]]:
         """Frame, and mean of its untouched reference frames, with the status of both."""
-        count = recipe.reference_frames
         session, _ = boards[frame_sample.specimen]
         touched = clean(frame_sample, frame_sample.scene, frame_sample.after)
         later = None if frame_sample.after is None else without_touches(frame_sample.after)
         untouched = clean(frame_sample, without_touches(frame_sample.scene), later)
         rng = generator(recipe, Stream.NOISE, frame_sample.index)
-        times = np.full(1 + count, frame_sample.session_time)
-        measured, status = session.measure(np.stack([touched] + count * [untouched]), times, rng)
-        return np.stack([measured[0], measured[1:].mean(axis=0)]), status[:2]
+        held = recipe.touch_frames if frame_sample.scene.touches else 1
+        scenes = held * [touched] + recipe.reference_frames * [untouched]
+        times = np.full(len(scenes), frame_sample.session_time)
+        measured, status = session.measure(np.stack(scenes), times, rng)
+        means = measured[:held].mean(axis=0), measured[held:].mean(axis=0)
+        return np.stack(means), status[[0, held]]
 
     impedance, status = (np.array(part) for part in zip(*map(measure, samples), strict=True))
     held = ([touch for touch in each.scene.touches if not touch.released] for each in samples)

@@ -14,7 +14,7 @@ from eitskin.datasets.recipe import SHIPPED_FOLDER, shipped_names
 from eitskin.datasets.recipe.episode import Episodes
 from eitskin.datasets.recipe.scene_group import SceneGroup, count_problems, refusal
 from eitskin.datasets.recipe.specimen import SPREAD_LOADS, Mounts, Specimen, Specimens
-from eitskin.datasets.store.schema import LIMITS, MAX_REFERENCE_FRAMES
+from eitskin.datasets.store.schema import AVERAGED, LIMITS, MAX_AVERAGED_FRAMES
 from eitskin.errors import ConfigurationError
 from eitskin.extras import old_names
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture, FreeArc, Hinge
@@ -65,6 +65,8 @@ class Recipe:
         mounts: clamps and stiffnesses that specimens have in turn, instead of `fixture`.
         frequency: frequency of the excitation [Hz]; 40 kHz when omitted.
         reference_frames: number of noisy untouched frames averaged for a `touch_reference`.
+        touch_frames: number of noisy frames averaged for each touched frame of `scenes`, as of
+            presses that are held.
 
     Example:
         >>> from eitskin import Recipe
@@ -88,6 +90,7 @@ class Recipe:
     specimens: Specimens = field(default_factory=Specimens)
     mounts: Mounts = field(default_factory=Mounts)
     reference_frames: int = 1
+    touch_frames: int = 1
     frequency: float | None = None
 
     def __post_init__(self) -> None:
@@ -209,8 +212,10 @@ class Recipe:
         if not 0 <= self.seed < 2**63:
             yield f"seed must be from 0 to 2^63 - 1, got {self.seed}"
         yield from count_problems("frames_per_shard", self.frames_per_shard, 1, LIMITS["frame"])
-        counted = self.reference_frames, 1, MAX_REFERENCE_FRAMES
-        yield from count_problems("reference_frames", *counted)
+        for name in AVERAGED:
+            yield from count_problems(name, getattr(self, name), 1, MAX_AVERAGED_FRAMES)
+        if self.touch_frames > 1 and self.episodes:
+            yield "touch_frames averages frames of scenes, got episodes, where each is a frame"
         yield from self._size_problems()
         yield from self._protocol_problems()
         if self.mounts.count and self.fixture != Clamp():

@@ -17,7 +17,7 @@ from eitskin.datasets.store.schema import (
     FIELDS,
     FRAME_FIELDS,
     LIMITS,
-    MAX_REFERENCE_FRAMES,
+    MAX_AVERAGED_FRAMES,
     MAX_TOUCHES,
     QUANTITIES,
     ColumnCollector,
@@ -197,11 +197,20 @@ class Dataset:
     @property
     def reference_frames(self) -> int:
         """Number of frames averaged for each `touch_reference`, from the recipe."""
-        stated = toml_table(self.recipe, "the recipe of the dataset").get("reference_frames", 1)
-        if not (isinstance(stated, int) and 1 <= stated <= MAX_REFERENCE_FRAMES):
+        return self._averaged("reference_frames")
+
+    @property
+    def touch_frames(self) -> int:
+        """Number of frames averaged for each touched frame, from the recipe."""
+        return self._averaged("touch_frames")
+
+    def _averaged(self, key: str) -> int:
+        """Number of averaged frames by one of the keys `AVERAGED` of the recipe."""
+        stated = toml_table(self.recipe, "the recipe of the dataset").get(key, 1)
+        if not (isinstance(stated, int) and 1 <= stated <= MAX_AVERAGED_FRAMES):
             raise DataError(
-                "the recipe of the dataset: reference_frames must be from 1 to "
-                f"{MAX_REFERENCE_FRAMES}, got {quote_value(stated)}; generate the dataset again"
+                f"the recipe of the dataset: {key} must be from 1 to {MAX_AVERAGED_FRAMES}, got "
+                f"{quote_value(stated)}; generate the dataset again"
             )
         return stated
 

@@ -21,7 +21,7 @@ from eitskin.datasets.store.manifest import (
     note_known,
     read_manifest,
 )
-from eitskin.datasets.store.schema import FORMAT_VERSION, LIMITS
+from eitskin.datasets.store.schema import AVERAGED, FORMAT_VERSION, LIMITS
 from eitskin.datasets.store.shard import write_entry
 from eitskin.datasets.store.worker_processes import run_tasks, worthwhile
 from eitskin.errors import ConfigurationError, DataError, PartialError
@@ -42,7 +42,8 @@ def combine(
 
     Specimens and episodes are numbered again, those of the first dataset first, and keep names;
     a measured specimen without a name has that of its folder from now on. The result counts as
-    measured where one of the datasets was, and keeps a recipe only where all datasets share one.
+    measured where one of the datasets was, and keeps a recipe only where all datasets share one,
+    else what all of their recipes say of averaged frames.
     Takes the memory of one shard.
 
     Args:
@@ -139,10 +140,17 @@ def _shared_attributes(heads: Sequence[Dataset]) -> dict[str, Any]:
     stated = {head.quantity for head in heads}
     return {
         "source": "simulated" if all(h.source == "simulated" for h in heads) else "measured",
-        "recipe": first.recipe if same else "",
+        "recipe": first.recipe if same else _averaged(heads),
         "seed": first.seed if same else 0,
         "quantity": first.quantity if len(stated) == 1 else "",
     }
+
+
+def _averaged(heads: Sequence[Dataset]) -> str:
+    """Recipe that says how many frames were averaged, where all datasets had as many."""
+    counts = {name: {getattr(head, name) for head in heads} for name in AVERAGED}
+    shared = {name: min(values) for name, values in counts.items() if len(values) == 1}
+    return "".join(f"{name} = {count}\n" for name, count in shared.items() if count > 1)
 
 
 def _require_distinct(paths: Sequence[Path], manifests: Sequence[Manifest]) -> None:

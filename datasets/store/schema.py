@@ -17,7 +17,9 @@ FORMAT: Final = "eitskin-dataset"
 FORMAT_VERSION: Final = 2
 ENGINE: Final = 2  # number of the simulation, raised where frames change beyond rounding
 MAX_TOUCHES: Final = 4
-MAX_REFERENCE_FRAMES: Final = 1000
+AVERAGED: Final = ("reference_frames", "touch_frames")
+"""Keys of recipes: frames averaged for each `touch_reference`, and for each touched frame."""
+MAX_AVERAGED_FRAMES: Final = 1000
 
 # Larger sizes are refused before memory is allocated: a foreign shard may claim any size.
 LIMITS: Final = {"frame": 1 << 20, "channel": 1 << 14, "specimen": 1 << 16, "touch": MAX_TOUCHES}

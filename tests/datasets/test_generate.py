@@ -19,7 +19,8 @@ import pytest
 from eitskin.datasets import Recipe, generate, open_dataset
 from eitskin.datasets.generation import generate as generation
 from eitskin.datasets.generation.preparation import estimate_cost, free_bytes, solved_frames
-from eitskin.datasets.generation.shard_simulation import simulate_shard
+from eitskin.datasets.generation.shard_simulation import simulate_frames, simulate_shard
+from eitskin.datasets.recipe.episode import RandomEpisodes
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.recipe import with_seed
 from eitskin.datasets.recipe.scene_group import SceneGroup
@@ -30,6 +31,7 @@ from eitskin.errors import ConfigurationError, PartialError
 from eitskin.geometry import Free, Hinge, Plates
 from eitskin.simulator import Instrument, Scene, Simulator
 from eitskin.threads import one_thread
+from eitskin.training import Observations
 
 from killed_writers import killed_once, was_killed
 from on_demand import OnDemand
@@ -61,6 +63,32 @@ def one_blas_thread():
 def whole(tmp_path_factory):
     """The recipe made in this process without interruption."""
     return made_here(RECIPE, tmp_path_factory.mktemp("datasets") / "whole")
+
+
+def test_touched_frames_and_references_are_means_of_as_many_frames_as_the_recipe_says():
+    """Their noise falls with the root; frames without touches keep theirs."""
+    scenes = (
+        SceneGroup("bend", count=30, angle_deg=(10.0, 10.0)),
+        SceneGroup("touch", positions=((0.05, 0.03),), repeats=30),
+    )
+    recipe = replace(RECIPE, scenes=scenes, specimens=Specimens(), instrument=Instrument(60.0))
+    clean = replace(recipe, instrument=Instrument(snr_db=0.0))
+    averaged = replace(recipe, reference_frames=4, touch_frames=16)
+    sets = [simulate_frames(each, range(60)) for each in (clean, recipe, averaged)]
+    touched = sets[0].touch_count > 0
+
+    def noise(data, name):
+        off = np.abs(getattr(data, name) - getattr(sets[0], name))
+        return np.array([np.sqrt(np.mean(off[rows] ** 2)) for rows in (~touched, touched)])
+
+    ratios = [
+        noise(sets[2], name) / noise(sets[1], name) for name in ("impedance", "touch_reference")
+    ]
+    np.testing.assert_allclose(ratios, [[1.0, 0.25], [0.5, 0.5]], rtol=0.06)
+    frames = Observations.from_dataset(sets[2]).frames
+    assert frames.tolist() == np.where(touched, 16.0, 1.0).tolist()
+    with pytest.raises(ConfigurationError, match="touch_frames averages frames of scenes"):
+        replace(averaged, episodes=(RandomEpisodes(count=1, frames=4),))
 
 
 @pytest.mark.slow

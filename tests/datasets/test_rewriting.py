@@ -49,6 +49,21 @@ def test_own_presses_follow_simulated_ones(simulated, tmp_path):
     assert np.array_equal(both.episode[40:], second.episode + 4)
 
 
+def test_numbers_of_averaged_frames_stay_where_all_sets_have_the_same(simulated, tmp_path):
+    recipe = 'name = "other"\nreference_frames = 16\ntouch_frames = 8\n'
+    for place in ("first", "second"):
+        data = dataclasses.replace(make(12, specimens=2), recipe=recipe + f"# {place}\n")
+        save_dataset(dataclasses.replace(data, seed=len(place)), tmp_path / place)
+    combine([tmp_path / "first", tmp_path / "second"], tmp_path / "both")
+    combine([tmp_path / "first", simulated], tmp_path / "mixed")
+    counts = {
+        name: (data.reference_frames, data.touch_frames)
+        for name in ("first", "both", "mixed")
+        if (data := open_dataset(tmp_path / name))
+    }
+    assert counts == {"first": (16, 8), "both": (16, 8), "mixed": (1, 1)}
+
+
 def test_magnitudes_go_with_impedances_where_that_is_wanted(simulated, tmp_path):
     combine([simulated, own(tmp_path, quantity="magnitude")], tmp_path / "both", magnitudes=True)
     both = open_dataset(tmp_path / "both")

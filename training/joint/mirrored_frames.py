@@ -55,7 +55,8 @@ class MirroredFrames:
         """Touched frames against the untouched sensor at the same bend."""
         rows = np.flatnonzero(is_touched(data))
         change = log_ratio(data.impedance[rows], data.touch_reference[rows])
-        return cls._from_rows(data, rows, change, 1.0 + 1.0 / data.reference_frames, images)
+        variance = 1.0 / data.touch_frames + 1.0 / data.reference_frames
+        return cls._from_rows(data, rows, change, variance, images)
 
     @classmethod
     def from_bent(cls, data: Dataset, images: Sequence[Mirror]) -> "MirroredFrames":

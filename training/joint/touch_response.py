@@ -116,6 +116,11 @@ class InputRanges:
         angle = np.asarray(angle_deg)[..., None] / _ANGLE_SCALE
         return np.concatenate([touches * self.input_scale - 1.0, angle], axis=-1)
 
+    def corners(self) -> Array:
+        """Least and largest network inputs (2, 4)."""
+        touches = np.array([(0.0, 0.0, self.force[0]), (*self.size, self.force[1])])
+        return self.inputs(touches, np.array(self.angle_deg))
+
     @property
     def input_scale(self) -> Array:
         """Derivatives of the first three inputs by x, y [1/m] and force [1/N]."""

@@ -41,6 +41,10 @@ LAYERS = 3
 LATENT = 8  # most latent variables q of a specimen
 SPECIMENS = 3  # to learn each of them from
 RELATIVE_ERROR = 0.05  # of the model, which weights frames together with their noise
+# Standard deviations of the first weights, of x, y, force and angle in units of the inputs. Changes
+# near the rim turn within millimetres; from layers that begin smooth they are learned ten times
+# more slowly (Rahaman et al. 2019).
+FIRST_WEIGHTS = (4.0, 3.0, 0.5, 0.5)
 CELL = 0.005  # m, between cells
 PROPOSAL_HIDDEN = (512, 512, 512)
 STEPS_PER_EPOCH = 100  # each on new frames
@@ -55,11 +59,21 @@ class ResponseNetwork(nn.Module):
     parameters, strengths do not blur the shape of the response. Their geometric mean is one.
     """
 
-    def __init__(self, frames: MirroredFrames) -> None:
-        """Size the network for the touches, channels, features and specimens of `frames`."""
+    def __init__(self, frames: MirroredFrames, ranges: InputRanges) -> None:
+        """Size the network for the touches, channels, features and specimens of `frames`.
+
+        Units of the first layer turn where touches are, within `ranges`.
+        """
         super().__init__()
         sizes = [4] + [HIDDEN_SIZE] * LAYERS
-        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
+        layers = [nn.Linear(a, b) for a, b in pairwise(sizes)]
+        low, high = (as_tensor(corner) for corner in ranges.corners())
+        with torch.no_grad():
+            weight = torch.randn(HIDDEN_SIZE, 4) * torch.tensor(FIRST_WEIGHTS)
+            turn = low + (high - low) * torch.rand(HIDDEN_SIZE, 4)
+            layers[0].weight.copy_(weight)
+            layers[0].bias.copy_(-(weight * turn).sum(dim=1))
+        self.layers = nn.ModuleList(layers)
         self.touches, self.channels = frames.touches.shape[1], frames.change.shape[1]
         self.features = frames.features.shape[1]
         specimens = int(frames.specimen.max()) + 1
@@ -99,7 +113,7 @@ def fit_response(
 ) -> tuple[TouchResponse, LearningCurve]:
     """Learn a response by weighted least squares; its mismatch stays zero."""
     scale = float(np.sqrt(np.mean(frames.change**2)))
-    network = seeded_network(lambda: ResponseNetwork(frames), seed)
+    network = seeded_network(lambda: ResponseNetwork(frames, ranges), seed)
     inputs, change = packed_inputs(frames, ranges), as_tensor(frames.change / scale)
     # Weights: noise dominates the error of weak touches, model error that of strong ones.
     noise = float(np.sqrt(np.mean(np.diagonal(frames.noise))))

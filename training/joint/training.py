@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import DataError
@@ -27,7 +28,12 @@ from eitskin.training.joint.mirrored_frames import (
 )
 from eitskin.training.joint.networks import AngleNetworks, ProposalNetwork
 from eitskin.training.joint.specimen_model import estimate_angle
-from eitskin.training.joint.touch_response import InputRanges, TouchPrior, TouchResponse
+from eitskin.training.joint.touch_response import (
+    LOG_STRENGTH_STD,
+    InputRanges,
+    TouchPrior,
+    TouchResponse,
+)
 from eitskin.training.method.input_spec import InputSpec, mirrors
 from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.observations import UNKNOWN_AGE
@@ -48,6 +54,10 @@ MIN_PROPOSALS = 0.25
 HOLD_OUT = 8  # every how many-th specimen is held out, to show how far errors are larger there
 CHECK_FRAMES = 500  # frames of these, by which standard errors of places are scaled
 MIN_SPECIMENS = 100  # from which on networks of the angle are tried
+MISMATCH_FRAMES = (
+    2000  # frames of held out specimens, by which errors of the response are estimated
+)
+MISMATCH_RANGE = (1e-3, 1.0)
 COMPARISON_FRAMES = 2000  # frames, by which networks and bend curves are compared
 
 
@@ -148,7 +158,7 @@ def _fit_touches(
     response, response_losses = fit_response(
         seen, ranges, run.settings.response, run.seed, run.progress
     )
-    response = replace(response, mismatch=_mismatch(response, checked))
+    response = replace(response, mismatch=fit_mismatch(response, checked))
     share = max(len(touched.change) // images / TOUCHED_FRAMES, MIN_PROPOSALS)
     settings = run.settings.proposals.shorten(min(share, 1.0))
     synthetic = SyntheticFrames(response, curves, prior, run.combinations)
@@ -269,29 +279,35 @@ def held_out_touches(dataset: Dataset) -> Dataset | None:
     return data.select(chosen) if len(rows) else None
 
 
-def _mismatch(response: TouchResponse, frames: MirroredFrames) -> float:
-    """Relative rms error of the response on `frames`, over all measurements.
+def fit_mismatch(response: TouchResponse, frames: MirroredFrames) -> float:
+    """Relative rms error of the response on `frames`, over all measurements: the most likely one.
 
-    The strength of each frame and its q are fitted, because the fit estimates forces and allows for
-    q. Independent errors of the measurements, relative to their changes, are to give combinations
-    of the errors that are found. The part of the errors that strength and q take up is left out,
-    since the fit allows for it already.
+    What the response leaves of a frame is normal, with the covariance that the fit of touches
+    gives it: noise, the strength and q of the specimen, and errors of the measurements,
+    independent and in proportion to the changes by each touch.
     """
-    squares = size = 0.0
-    combinations, variance = frames.combinations, np.diagonal(frames.noise)
-    total = np.sum(combinations.forward**2, axis=1)
-    for i in range(min(len(frames.change), 2000)):
+    frames = frames[:: -(-len(frames.change) // MISMATCH_FRAMES)]
+    combinations, (count, channels) = frames.combinations, frames.change.shape
+    rest, sure = np.empty((count, channels)), np.empty((count, channels, channels))
+    errors = np.empty_like(sure)
+    for i in range(count):
         touches = frames.touches[i][np.isfinite(frames.touches[i][:, 0])]
-        specimen = response.for_specimen(frames.features[i])
-        modelled = specimen(touches, float(frames.angle_deg[i]))
-        shapes = specimen.latent_changes(touches, float(frames.angle_deg[i]))
-        columns = np.concatenate([modelled.sum(axis=0)[None], shapes])
-        metric = np.diag(np.append(0.0, np.ones(len(shapes)))) * np.mean(variance)
-        fitted = np.linalg.solve(columns @ columns.T + metric, columns @ frames.change[i])
-        squares += float(np.sum((frames.change[i] - fitted @ columns) ** 2 - variance))
-        each = fitted[0] * modelled @ combinations.back
-        size += float(total @ np.sum(each**2, axis=0))
-    return float(np.sqrt(max(squares / size, 1e-6)))
+        specimen, angle = response.for_specimen(frames.features[i]), float(frames.angle_deg[i])
+        modelled = specimen(touches, angle)
+        rest[i] = frames.change[i] - modelled.sum(axis=0)
+        strength = LOG_STRENGTH_STD * modelled.sum(axis=0)
+        effects = np.vstack([strength, specimen.latent_changes(touches, angle)])
+        sure[i] = frames.noise + effects.T @ effects
+        each = np.sum((modelled @ combinations.back) ** 2, axis=0)
+        errors[i] = (combinations.forward.T * each) @ combinations.forward
+
+    def loss(log_mismatch: float) -> float:
+        covariance = sure + np.exp(2.0 * log_mismatch) * errors
+        whitened = np.linalg.solve(covariance, rest[..., None])[..., 0]
+        return float(np.mean(np.sum(rest * whitened, axis=1) + np.linalg.slogdet(covariance)[1]))
+
+    bounds = np.log(MISMATCH_RANGE)
+    return float(np.exp(minimize_scalar(loss, bounds=bounds, method="bounded").x))
 
 
 def _places(spec: InputSpec, touch_prior: TouchPrior) -> Array:

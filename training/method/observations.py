@@ -83,7 +83,7 @@ class Observations(StoredFields):
                 bad, np.nan, relative_difference(dataset.impedance, dataset.values_before_touch)
             ),
             np.abs(flat).astype(float),
-            np.ones(len(dataset)),
+            np.where(dataset.touch_count > 0, float(dataset.touch_frames), 1.0),
             np.full(len(dataset), np.inf if dataset.source == "simulated" else 1.0),
             np.full(len(dataset), float(dataset.reference_frames)),
             np.full(len(dataset), UNKNOWN_AGE),

@@ -125,7 +125,7 @@ class JointSettings:
             dries and warms by a percent or two, the electronics drift by 0.2 %.
     """
 
-    response: NetworkSettings = NetworkSettings(6e-3, epochs=60, batch=512, fewest_steps=2000)
+    response: NetworkSettings = NetworkSettings(0.01, epochs=120, batch=512, fewest_steps=2000)
     proposals: NetworkSettings = NetworkSettings(2e-3, epochs=40, batch=512)
     angles: NetworkSettings = NetworkSettings(3e-3, epochs=80, batch=256)
     drift: float = 0.02

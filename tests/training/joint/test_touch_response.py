@@ -19,6 +19,7 @@ from eitskin.training.joint.touch_training import (
     folded_response,
     packed_inputs,
 )
+from eitskin.training.joint.training import fit_mismatch
 from eitskin.training.method.input_spec import mirrors
 
 from smooth_sensor import MEASUREMENTS, RANGES, SIZE, TOUCH_PRIOR, curves, response, touch_change
@@ -92,7 +93,7 @@ def test_network_says_what_it_was_trained_to_say(features):
     """The response without torch equals the network's; one specimen gives no covariance."""
     data = frames(40, 4)
     data = replace(data, features=data.features[:, :features])
-    network = ResponseNetwork(data)
+    network = ResponseNetwork(data, RANGES)
     network.latent.data[:] = 0.4  # the same for all: then it is none
     with torch.inference_mode():
         said = network(packed_inputs(data, RANGES)).numpy() * 0.5
@@ -144,6 +145,21 @@ def test_priors_are_estimated_and_followed_with_changes_of_the_response():
     np.testing.assert_allclose(mean[strong], expected[strong], rtol=0.02)
     spread = np.std(change / expected, axis=0)[strong]
     np.testing.assert_allclose(spread, np.hypot(touch_training.LOG_SENSITIVITY_STD, 0.1), rtol=0.05)
+
+
+@pytest.mark.parametrize("mismatch", [0.03, 0.2])
+def test_errors_of_a_response_are_found_next_to_those_of_noise_and_specimens(mismatch):
+    """By what is left of frames that have strengths, q, errors in proportion, and noise."""
+    made = replace(MODEL, response=response(mismatch, features=1, unseen=2))
+    rng = np.random.default_rng(8)
+    touches = rng.uniform(TOUCH_PRIOR.low, TOUCH_PRIOR.high, (1500, 1, 3))
+    angle, features = rng.uniform(-20.0, 50.0, 1500), rng.standard_normal((1500, 3))
+    change = made.touch_changes(touches, angle, features, rng)
+    change += 3e-4 * rng.standard_normal(change.shape)
+    frames = made_up_frames(
+        change, angle, np.arange(1500), 3e-4, features=features[:, :1], touches=touches
+    )
+    assert fit_mismatch(made.response, frames) == pytest.approx(mismatch, rel=0.08)
 
 
 # Made-up frames and the places that are proposed
