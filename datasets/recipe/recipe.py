@@ -65,8 +65,7 @@ class Recipe:
         mounts: clamps and stiffnesses that specimens have in turn, instead of `fixture`.
         frequency: frequency of the excitation [Hz]; 40 kHz when omitted.
         reference_frames: number of noisy untouched frames averaged for a `touch_reference`.
-        touch_frames: number of noisy frames averaged for each touched frame of `scenes`, as of
-            presses that are held.
+        touch_frames: the same for a touched frame of `scenes`.
 
     Example:
         >>> from eitskin import Recipe

@@ -197,14 +197,14 @@ class Dataset:
     @property
     def reference_frames(self) -> int:
         """Number of frames averaged for each `touch_reference`, from the recipe."""
-        return self._averaged("reference_frames")
+        return self._averaged_count("reference_frames")
 
     @property
     def touch_frames(self) -> int:
         """Number of frames averaged for each touched frame, from the recipe."""
-        return self._averaged("touch_frames")
+        return self._averaged_count("touch_frames")
 
-    def _averaged(self, key: str) -> int:
+    def _averaged_count(self, key: str) -> int:
         """Number of averaged frames by one of the keys `AVERAGED` of the recipe."""
         stated = toml_table(self.recipe, "the recipe of the dataset").get(key, 1)
         if not (isinstance(stated, int) and 1 <= stated <= MAX_AVERAGED_FRAMES):

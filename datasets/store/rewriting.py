@@ -140,13 +140,13 @@ def _shared_attributes(heads: Sequence[Dataset]) -> dict[str, Any]:
     stated = {head.quantity for head in heads}
     return {
         "source": "simulated" if all(h.source == "simulated" for h in heads) else "measured",
-        "recipe": first.recipe if same else _averaged(heads),
+        "recipe": first.recipe if same else _averaged_counts(heads),
         "seed": first.seed if same else 0,
         "quantity": first.quantity if len(stated) == 1 else "",
     }
 
 
-def _averaged(heads: Sequence[Dataset]) -> str:
+def _averaged_counts(heads: Sequence[Dataset]) -> str:
     """Recipe that says how many frames were averaged, where all datasets had as many."""
     counts = {name: {getattr(head, name) for head in heads} for name in AVERAGED}
     shared = {name: min(values) for name, values in counts.items() if len(values) == 1}

@@ -282,7 +282,7 @@ def held_out_touches(dataset: Dataset) -> Dataset | None:
 def fit_mismatch(response: TouchResponse, frames: MirroredFrames) -> float:
     """Relative rms error of the response on `frames`, over all measurements: the most likely one.
 
-    What the response leaves of a frame is normal, with the covariance that the fit of touches
+    The rest of a frame after the response is normal, with the covariance that the fit of touches
     gives it: noise, the strength and q of the specimen, and errors of the measurements,
     independent and in proportion to the changes by each touch.
     """
