@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 HIDDEN_SIZE = 96
 LAYERS = 3
-LATENT = 8  # most latent variables q of a specimen
+LATENT = 12  # most latent variables q of a specimen
 SPECIMENS = 3  # to learn each of them from
 RELATIVE_ERROR = 0.05  # of the model, which weights frames together with their noise
 # Standard deviations of the first weights, of x, y, force and angle in units of the inputs. Changes
@@ -56,7 +56,8 @@ class ResponseNetwork(nn.Module):
     """The network of `TouchResponse`, with strength and latent q of every training specimen.
 
     The strength with which touches act on a specimen does not show in its flat resistances; as free
-    parameters, strengths do not blur the shape of the response. Their geometric mean is one.
+    parameters, strengths do not blur the shape of the response. Their geometric mean is one. Mirror
+    images share the strength of a specimen, while each has q of its own.
     """
 
     def __init__(self, frames: MirroredFrames, ranges: InputRanges) -> None:
@@ -76,15 +77,15 @@ class ResponseNetwork(nn.Module):
         self.layers = nn.ModuleList(layers)
         self.touches, self.channels = frames.touches.shape[1], frames.change.shape[1]
         self.features = frames.features.shape[1]
-        specimens = int(frames.specimen.max()) + 1
+        self.specimens, curves = frames.specimens, int(frames.curve.max()) + 1
         latent = min(LATENT, len(np.unique(frames.specimen)) // SPECIMENS)
         terms = 1 + self.features + latent
         self.output = nn.Linear(HIDDEN_SIZE + 1, self.channels * terms, bias=False)
         with torch.no_grad():  # start near a response that all specimens share
             self.output.weight[self.channels :] *= 0.1
-        self.log_strength = nn.Parameter(torch.zeros(specimens))
+        self.log_strength = nn.Parameter(torch.zeros(self.specimens))
         # Zeros would stay zeros: the gradient by each factor is the other factor.
-        self.latent = nn.Parameter(0.3 * torch.randn(specimens, latent))
+        self.latent = nn.Parameter(0.3 * torch.randn(curves, latent))
 
     def forward(self, packed: Tensor) -> Tensor:
         """Changes of log V (n, C), in units of `scale`, of frames packed by `packed_inputs`."""
@@ -101,7 +102,7 @@ class ResponseNetwork(nn.Module):
         share = torch.cat([torch.ones_like(specimen), features, self.latent[number]], dim=1)
         strength = torch.exp(self.log_strength - self.log_strength.mean())
         change: Tensor = torch.einsum("npc,np->nc", terms, share)
-        return change * strength[number][:, None]
+        return change * strength[number % self.specimens][:, None]
 
 
 def fit_response(
@@ -136,29 +137,29 @@ def fit_response(
         seed,
         lambda done, total: progress("touch response", done, total),
     )
-    return folded_response(network, np.unique(frames.specimen), scale, ranges), history
+    return folded_response(network, np.unique(frames.curve), scale, ranges), history
 
 
 def packed_inputs(frames: MirroredFrames, ranges: InputRanges) -> Tensor:
-    """Rows (n, columns): inputs and factors of each touch, features, number of the specimen."""
+    """Rows (n, columns): inputs and factors of each touch, features, number of the curve."""
     angles = np.broadcast_to(frames.angle_deg[:, None], frames.touches.shape[:2])
     inputs = ranges.inputs(frames.touches, angles)
     columns = [
         np.nan_to_num(inputs).reshape(len(inputs), -1),
         np.nan_to_num(frames.touches[..., 2] / ranges.middle_force),  # zero where absent
         frames.features,
-        frames.specimen[:, None],
+        frames.curve[:, None],
     ]
     return as_tensor(np.concatenate(columns, axis=1))
 
 
 def folded_response(
-    network: ResponseNetwork, specimens: NDArray[np.int64], scale: float, ranges: InputRanges
+    network: ResponseNetwork, curves: NDArray[np.int64], scale: float, ranges: InputRanges
 ) -> TouchResponse:
     """The trained response, with q shifted and scaled to zero mean and unit variance."""
     output = as_array(network.output.weight).reshape(-1, network.channels, HIDDEN_SIZE + 1)
     feature_output, latent = output[: 1 + network.features], output[1 + network.features :]
-    q = as_array(network.latent)[specimens]
+    q = as_array(network.latent)[curves]
     feature_output[0] += np.tensordot(q.mean(axis=0), latent, axes=1)
     variance = np.cov(q.T).reshape(2 * q.shape[1:]) if q.size else np.zeros((0, 0))
     spread = np.linalg.cholesky(variance + 1e-12 * np.eye(len(variance)))

@@ -54,6 +54,20 @@ def assert_touched(said, *places):
     assert np.linalg.norm(np.subtract(found, sorted(places)), axis=1).max() < 5e-3
 
 
+def test_the_response_learned_is_that_of_the_simulator_without_noise(simulator):
+    """Within 7 % of the change by single touches near and far from the rim, flat and bent."""
+    method = Pipeline.load("reference.eitmodel").method
+    touches = np.random.default_rng(4).uniform((0.012, 0.012, 4.0), (0.138, 0.048, 11.0), (20, 3))
+    errors = []
+    for bend in (Bend(0.0), Bend(25.0)):
+        scenes = [Scene(bend), *(Scene(bend, (Touch(*each),)) for each in touches.tolist())]
+        values = np.abs([simulator.measure(scene).impedance for scene in (Scene(), *scenes)])
+        change, flat = np.log(values[2:] / values[1]), values[0]
+        learned = method.specimen_response(flat)(touches, bend.angle_deg)
+        errors.append(np.linalg.norm(learned - change, axis=1) / np.linalg.norm(change, axis=1))
+    assert np.sqrt(np.mean(np.square(errors), axis=1)).max() < 0.07
+
+
 def test_bent_sensors_are_told_where_touched_and_capacitances_by_phases(session):
     bend, places = Bend(30.0), [(0.040, 0.020), (0.110, 0.040)]
     for _ in range(3):
