@@ -104,7 +104,7 @@ def _finer(design: SensorDesign, mechanics: Mechanics, touch: Touch, angle: floa
     sensor = PressedSensor(design, mechanics, plates=plates)
     state, frame = sensor.state, None
     if state is not None:
-        frame = sensor.frame(state, touch.x, touch.y)
+        (frame,) = sensor.frames(state, np.array([[touch.x, touch.y]]))
     radius = touch.indenter.rims[1]
     stretches = (1.0, 1.0) if frame is None else tuple(frame.stretches.tolist())
     contact = Contact(touch.x, touch.y, radius, stretches)

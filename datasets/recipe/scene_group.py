@@ -189,14 +189,14 @@ def draw_positions(
     for _ in range(_TRIES):
         sets = rng.uniform(low, high, size=(_SETS_AT_ONCE, amount, 2))
         apart = np.linalg.norm(sets[:, first] - sets[:, second], axis=-1)
-        within = outline.contains(sets, margin).all(axis=1)
+        good = (apart >= spacing).all(axis=1)
         if from_middle is not None:
             away = np.abs(sets[..., 0] - 0.5 * outline.length)
-            within &= ((from_middle[0] <= away) & (away <= from_middle[1])).all(axis=1)
-        good = np.flatnonzero((apart >= spacing).all(axis=1) & within)
-        if good.size:
-            positions: NDArray[np.float64] = sets[good[0]]
-            return positions
+            good &= ((from_middle[0] <= away) & (away <= from_middle[1])).all(axis=1)
+        positions: NDArray[np.float64]
+        for positions in sets[good]:
+            if outline.contains(positions, margin).all():
+                return positions
     raise ConfigurationError(
         f"could not place {amount} touches {spacing:g} m apart and {margin:g} m from the rim; ask "
         "for fewer touches, or less spacing or margin"

@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _GRADIENT_OFFSET = 1e-4  # [m]; gradients of a solution in boxes jump between them
+_BESIDE = np.array([[-1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0]])
 _AXIS = 1e-9  # [m]
 _ON_ROUNDING = 0.25  # of the rounding of an edge, that is not touched
 _MAX_OFF_CENTRE = 0.02  # distance of a punch's middle from its force, over its size
@@ -79,16 +80,23 @@ class ContactFrame:
         cls, bent: BentState | Deformation, x: float, y: float, stack: Stack
     ) -> "ContactFrame":
         """Frame of the top of a bent stack under (x, y) [m]."""
-        top = stack.levels[-1] - stack.levels[stack.gel]
-        beside = _GRADIENT_OFFSET * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
-        touched = np.array([x, y, top])
-        around = np.concatenate([touched[:2] + beside, np.full((4, 1), top)], axis=1)
-        F = bent.gradient(around).mean(axis=0)
-        along, normal = F[:, 0] / np.linalg.norm(F[:, 0]), np.cross(F[:, 0], F[:, 1])
-        normal /= np.linalg.norm(normal)
-        rotation = np.stack([along, np.cross(normal, along), normal], axis=1)
-        stretches = np.linalg.norm(F[:, :2], axis=0)
-        return cls(x, y, bent.positions(touched), rotation, stretches)
+        return cls.from_places(bent, np.array([[x, y]]), stack)[0]
+
+    @classmethod
+    def from_places(
+        cls, bent: BentState | Deformation, places: Array, stack: Stack
+    ) -> "list[ContactFrame]":
+        """Frames of the top of a bent stack under places (n, 2) [m]."""
+        top = np.full((len(places), 1), stack.levels[-1] - stack.levels[stack.gel])
+        touched = np.concatenate([places, top], axis=1)
+        around = touched[:, None] + _GRADIENT_OFFSET * _BESIDE
+        F = bent.gradient(around.reshape(-1, 3)).reshape(-1, len(_BESIDE), 3, 3).mean(axis=1)
+        along, normal = F[..., 0], np.cross(F[..., 0], F[..., 1])
+        along, normal = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (along, normal))
+        rotations = np.stack([along, np.cross(normal, along), normal], axis=2)
+        stretches = np.linalg.norm(F[..., :2], axis=1)
+        found = zip(places.tolist(), bent.positions(touched), rotations, stretches, strict=True)
+        return [cls(x, y, *others) for (x, y), *others in found]
 
     @property
     def normal(self) -> Array:

@@ -26,6 +26,7 @@ _POWERS = np.zeros((DEGREE + 1, DEGREE + 1))
 for _n in range(DEGREE + 1):
     _POWERS[_n, : _n + 1] = legendre.leg2poly(np.eye(_n + 1)[_n])
 _HAIR = 1e-9  # [m]
+_UNTURNED = np.concatenate([np.eye(3), np.ones((1, 3))])
 KERNELS = "eitskin.simulator.deformation.kernels"
 
 
@@ -109,11 +110,16 @@ def dent_powers(dent: TabulatedDent) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedDent:
-    """Dent at (x, y) of the flat sensor [m]."""
+    """Dent at (x, y) of the flat sensor [m], turned to the frame of a bent top where that is given.
+
+    The layer of a bent sensor moves as a flat one in the frame, in which distances from the axis
+    are those along the bent top.
+    """
 
     x: float
     y: float
     dent: TabulatedDent
+    frame: ContactFrame | None = None
 
     def displacement_and_gradient(self, columns: Array) -> Array:
         """Displacement [m] and its derivatives by x, y, z, (12, h, n), at columns (n, h, 3)."""
@@ -126,15 +132,28 @@ class PlacedDent:
         shear = c * s * (u_r - hoop)
         across = c * c * u_r + s * s * hoop, shear, c * u_z
         along = shear, s * s * u_r + c * c * hoop, s * u_z
-        moved[..., near] = np.stack([c * u, s * u, w, *across, *along, c * w_r, s * w_r, w_z])
+        found = np.stack([c * u, s * u, w, *across, *along, c * w_r, s * w_r, w_z])
+        if self.frame is not None:
+            R, scale = self._turn[:3], self._turn[3]
+            G = np.einsum("ij,jk...,k->ik...", R, found[3:].reshape(3, 3, *u.shape), scale)
+            found = np.concatenate(
+                [np.einsum("ij,j...->i...", R, found[:3]), G.reshape(9, *u.shape)]
+            )
+        moved[..., near] = found
         return moved
 
     def accumulate(self, kernels: ModuleType, points: Array, places: Array, F: Array) -> None:
         """Add the displacement to places (n, 3) [m], and its gradient to F (n, 9), at points."""
         dent, place = self.dent, (float(self.x), float(self.y))
-        kernels.add_dent(
-            place, dent.thickness, dent.profile.x, dent_powers(dent), _HAIR, points, places, F
-        )
+        shape = dent.thickness, dent.profile.x, dent_powers(dent)
+        kernels.add_dent(place, self._turn, *shape, _HAIR, points, places, F)
+
+    @property
+    def _turn(self) -> Array:
+        """Rotation to the bent top, and below it factors of distances along x, y and z, (4, 3)."""
+        if self.frame is None:
+            return _UNTURNED
+        return np.stack([*self.frame.rotation, np.append(self.frame.stretches, 1.0)])
 
     def values(self, columns: Array) -> Array:
         """Displacement [m] and mean stress [Pa], (4, h, n), at columns of points (n, h, 3)."""
@@ -148,7 +167,8 @@ class PlacedDent:
 
         Points on the axis are moved aside by a hair.
         """
-        dx, dy = columns[:, 0, 0] - self.x, columns[:, 0, 1] - self.y
+        along, across, _ = self._turn[3]
+        dx, dy = along * (columns[:, 0, 0] - self.x), across * (columns[:, 0, 1] - self.y)
         dx = np.where(np.hypot(dx, dy) < _HAIR, _HAIR, dx)
         r = np.sqrt(dx**2 + dy**2)
         near: NDArray[np.bool_] = r < self.dent.reach
@@ -172,27 +192,33 @@ class Dents(Deformation):
 
     def map_points(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and deformation gradient in one pass."""
-        if kernels := compiled_kernels(KERNELS):
-            return self._map_with_kernels(kernels, points)
-        columns, shape = _columns(points), points.shape[:-1]
-        moved = np.zeros((12, columns.shape[1], len(columns)))
-        for field in (*self.corrections, *self.presses):
-            moved += field.displacement_and_gradient(columns)
-        moved[3::4] += 1.0  # the diagonal of F
-        moved = moved.swapaxes(-2, -1)
-        positions = points + np.moveaxis(moved[:3].reshape(3, *shape), 0, -1)
-        return positions, np.moveaxis(moved[3:].reshape(3, 3, *shape), (0, 1), (-2, -1))
+        return self.add_to(points, points, np.broadcast_to(np.eye(3), (*points.shape, 3)))
 
-    def _map_with_kernels(self, kernels: ModuleType, points: Points) -> tuple[Points, Gradients]:
-        flat = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
-        places, F = flat.copy(), np.tile(np.eye(3).ravel(), (len(flat), 1))
-        for field in (*self.corrections, *self.presses):
-            if isinstance(field, Field | PlacedDent):
-                field.accumulate(kernels, flat, places, F)
-            else:
-                moved = field.displacement_and_gradient(flat[:, None])[:, 0].T
-                places, F = places + moved[:, :3], F + moved[:, 3:]
-        return places.reshape(points.shape), F.reshape(*points.shape, 3)
+    def add_to(
+        self, points: Points, places: Points, gradients: Gradients
+    ) -> tuple[Points, Gradients]:
+        """Places and gradients of flat points, with displacements and their gradients added."""
+        fields = *self.corrections, *self.presses
+        if kernels := compiled_kernels(KERNELS):
+            flat = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
+            moved = np.array(places, dtype=np.float64, order="C")
+            F = np.array(gradients, dtype=np.float64, order="C")
+            for field in fields:
+                room = moved.reshape(-1, 3), F.reshape(-1, 9)
+                if isinstance(field, Field | PlacedDent):
+                    field.accumulate(kernels, flat, *room)
+                else:
+                    more = field.displacement_and_gradient(flat[:, None])[:, 0].T
+                    np.add(room[0], more[:, :3], out=room[0])
+                    np.add(room[1], more[:, 3:], out=room[1])
+            return moved, F
+        columns, shape = _columns(points), points.shape[:-1]
+        total = np.zeros((12, columns.shape[1], len(columns)))
+        for field in fields:
+            total += field.displacement_and_gradient(columns)
+        total = total.swapaxes(-2, -1)
+        F = gradients + np.moveaxis(total[3:].reshape(3, 3, *shape), (0, 1), (-2, -1))
+        return places + np.moveaxis(total[:3].reshape(3, *shape), 0, -1), F
 
     def mean_stress(self, points: Points) -> Array:
         """Mean stress [Pa] at flat points (..., 3) [m], (...), positive in tension."""
@@ -205,44 +231,25 @@ class Dents(Deformation):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BentPresses(Deformation):
-    """Bend of the layer, dents turned to its top, and the correction of both in the finite stack.
+    """Bend of the layer, and dents turned to its top with their corrections.
 
     All displacements are added up.
 
     Attributes:
         bend: bend of the untouched layer.
-        presses: dents with their frames.
-        correction: displacement [m] and mean stress [Pa], without dents of its own.
+        dents: dents with their frames, and corrections by displacement [m] and mean stress [Pa].
     """
 
     bend: Deformation
-    presses: tuple[tuple[ContactFrame, TabulatedDent], ...]
-    correction: Dents
+    dents: Dents
 
     def map_points(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and deformation gradient in one pass."""
-        positions, F = self.bend.map_points(points)
-        corrected, slope = self.correction.map_points(points)
-        positions = positions + (corrected - points)
-        F = F + (slope - np.eye(3))
-        for frame, dents in self._dents():
-            stretched = frame.stretch_points(points)
-            pressed, slope = dents.map_points(stretched)
-            positions = positions + frame.rotate_vectors(pressed - stretched)
-            F = F + frame.gradient(slope - np.eye(3))
-        return positions, F
+        return self.dents.add_to(points, *self.bend.map_points(points))
 
     def mean_stress(self, points: Points) -> Array:
         """Mean stress by the presses [Pa] at flat points (..., 3) [m], (...)."""
-        stress = self.correction.mean_stress(points)
-        for frame, dents in self._dents():
-            stress = stress + dents.mean_stress(frame.stretch_points(points))
-        return stress
-
-    def _dents(self) -> list[tuple[ContactFrame, Dents]]:
-        return [
-            (frame, Dents((PlacedDent(frame.x, frame.y, dent),))) for frame, dent in self.presses
-        ]
+        return self.dents.mean_stress(points)
 
 
 def _columns(points: Points) -> Points:

@@ -146,9 +146,13 @@ def add_field(
             gradients[n, 3 * k + 2] += slope[k, 2]
 
 
-@kernel("void(UniTuple(f8, 2), f8, f8[::1], f8[:,:,::1], f8, f8[:,::1], f8[:,::1], f8[:,::1])")
+@kernel(
+    "void(UniTuple(f8, 2), f8[:,::1], f8, f8[::1], f8[:,:,::1], f8, "
+    "f8[:,::1], f8[:,::1], f8[:,::1])"
+)
 def add_dent(
     place: tuple[float, float],
+    turn: Array,
     height: float,
     knots: Array,
     pieces: Array,
@@ -161,6 +165,7 @@ def add_dent(
 
     Args:
         place: place of the axis, x and y [m].
+        turn: rotation of displacements, and below it factors of distances from the axis, (4, 3).
         height: height of the layer [m].
         knots: knots of the piecewise cubics in r, (m + 1,) [m].
         pieces: coefficients of u and w, of the powers 0 to 5 of the level each, of the powers of r
@@ -170,13 +175,13 @@ def add_dent(
         places, gradients: arrays that are added to.
     """
     reach, last, rate = knots[-1], len(knots) - 2, 2.0 / height
-    value, slope = np.empty(12), np.empty(12)
+    value, slope, found, one = np.empty(12), np.empty(12), np.empty(9), np.empty(3)
     piece, before_x, before_y, r, c, s = 0, np.nan, np.nan, reach, 1.0, 0.0
     for n in range(len(points)):
         x, y = points[n, 0], points[n, 1]
         if x != before_x or y != before_y:
             before_x, before_y = x, y
-            dx, dy = x - place[0], y - place[1]
+            dx, dy = turn[3, 0] * (x - place[0]), turn[3, 1] * (y - place[1])
             r = math.sqrt(dx * dx + dy * dy)
             if r < reach:
                 if r < least:
@@ -203,19 +208,17 @@ def add_dent(
             u_r, w_r = u_r * z + slope[m], w_r * z + slope[6 + m]
         u_z, w_z = rate * u_z, rate * w_z
         cc, ss, cs = c * c, s * s, c * s
-        places[n, 0] += c * u
-        places[n, 1] += s * u
-        places[n, 2] += w
+        one[0], one[1], one[2] = c * u, s * u, w
         across = cs * (u_r - u / r)
-        gradients[n, 0] += cc * u_r + ss * (u / r)
-        gradients[n, 1] += across
-        gradients[n, 2] += c * u_z
-        gradients[n, 3] += across
-        gradients[n, 4] += ss * u_r + cc * (u / r)
-        gradients[n, 5] += s * u_z
-        gradients[n, 6] += c * w_r
-        gradients[n, 7] += s * w_r
-        gradients[n, 8] += w_z
+        found[0], found[1], found[2] = cc * u_r + ss * (u / r), across, c * u_z
+        found[3], found[4], found[5] = across, ss * u_r + cc * (u / r), s * u_z
+        found[6], found[7], found[8] = c * w_r, s * w_r, w_z
+        for i in range(3):
+            R0, R1, R2 = turn[i, 0], turn[i, 1], turn[i, 2]
+            places[n, i] += R0 * one[0] + R1 * one[1] + R2 * one[2]
+            for k in range(3):
+                turned = R0 * found[k] + R1 * found[3 + k] + R2 * found[6 + k]
+                gradients[n, 3 * i + k] += turned * turn[3, k]
 
 
 @kernel("void(f8[:,::1], f8[::1], f8[::1], f8[:,:,::1], f8[:,::1], f8[:,::1])")

@@ -51,6 +51,7 @@ class NodeSums:
         across: Numbers,
         scenes: Indices,
         images: ArrayLike = DIRECT,
+        turns: Numbers | None = None,
     ) -> None:
         """Add fields to scenes, or mirror images of them.
 
@@ -62,17 +63,24 @@ class NodeSums:
             across: likewise along y, (ny, ny') or (n, ny, ny').
             scenes: numbers (n,).
             images: whether mirrored along x and y, (n, 2) or (2,).
+            turns: matrices that turn the components of each field or image, (n, 3, 3).
         """
         along, across = (each.astype(np.float32, copy=False) for each in (along, across))
         mirrored = np.broadcast_to(images, (len(scenes), 2))
         number = 4 * scenes + 2 * mirrored[:, 0] + mirrored[:, 1]
         slots, slot = np.unique(number, return_inverse=True)
+        if turns is not None:  # images are turned as the fields are before they are mirrored
+            signs = np.ones((len(scenes), 3, 1), np.float32)
+            signs[:, :2, 0] -= 2.0 * mirrored
+            turns = (signs * turns * signs.swapaxes(1, 2))[:, None, None]
         # Factors of each field come first: there are fewer sums than fields.
         total: Numbers = np.zeros(0, np.float32)
         for start in range(0, len(amounts), _AT_ONCE):
             rows = slice(start, start + _AT_ONCE)
             fields = product_in_blocks(amounts[rows], modes.reshape(len(modes), -1))
             fields = fields.reshape(-1, *modes.shape[1:])
+            if turns is not None:
+                fields[..., :3, :] = turns[rows] @ fields[..., :3, :]
             own = (each[rows] if each.ndim == 3 else None for each in (along, across))
             fields = _combine_fields(fields, *own)
             total = total if total.size else np.zeros((len(slots), *fields.shape[1:]), np.float32)
@@ -85,18 +93,6 @@ class NodeSums:
         for row, place in enumerate(slots.tolist()):
             image = mirror(total[row], (place // 2 % 2, place % 2))
             self.values[place // 4, :, :levels] += image
-
-    def turn(self, rotations: Array, scenes: Indices, scales: Array) -> None:
-        """Turn the first sums by rotations (n, 3, 3), and add each to one of `scenes` (n,).
-
-        The sums of scenes, which follow, stay. Rotations are of components times scales (k,).
-        """
-        count, scaled = len(rotations), scales[:3]
-        turned = (rotations * scaled / scaled[:, None]).astype(np.float32)
-        parts, self.values = self.values[:count], self.values[count:]
-        for scene, rotation, part in zip(scenes.tolist(), turned, parts, strict=True):
-            self.values[scene, :, :, :3] += rotation @ part[:, :, :3]
-            self.values[scene, :, :, 3:] += part[:, :, 3:]
 
     def fields(self, height: float, scales: Array) -> list[Field]:
         """Sums of all scenes, with components (k,) times scales, on a box of a height [m]."""

@@ -30,6 +30,7 @@ from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]
+Numbers = NDArray[np.floating]
 Indices = NDArray[np.int64]
 
 _TOLERANCE = 1e-9  # [m]
@@ -70,11 +71,13 @@ class PairCorrections:
         second: Array,
         scenes: Indices,
         sums: NodeSums | None,
+        turns: Numbers | None = None,
     ) -> tuple[list[Field | None], Array]:
         """Changes by pairs of presses (x, y, depth), (n, 3) [m] each.
 
         Returns a field of each, None where the presses do not affect each other, and by how much
-        deeper each of its presses sinks [m], (n,). To the sums of `scenes` goes the sides' part.
+        deeper each of its presses sinks [m], (n,). To the sums of `scenes` goes the sides' part,
+        turned as by `NodeSums.add`.
         """
         apart = np.hypot(*(second - first)[:, :2].T)
         felt = np.flatnonzero(apart < self.wide.nodes("axis_distance")[-1])
@@ -100,7 +103,8 @@ class PairCorrections:
         if self.sides is not None and sums is not None:
             near = np.flatnonzero(apart < self.sides.nodes("axis_distance")[-1])
             pairs = middle[near], apart[near], angle[near], deep[near]
-            _add_of_sides(self.sides, *pairs, scenes[felt[near]], sums)
+            own = None if turns is None else turns[felt[near]]
+            _add_of_sides(self.sides, *pairs, scenes[felt[near]], sums, own)
         return fields, extra
 
 
@@ -112,6 +116,7 @@ def _add_of_sides(
     deep: Array,
     scenes: Indices,
     sums: NodeSums,
+    turns: Numbers | None,
 ) -> None:
     """Add what the sides of a strip add to pairs about their middles, of products of depths."""
     width = table.size("width")
@@ -131,4 +136,5 @@ def _add_of_sides(
     amounts *= (deep / table.size("depth") ** 2)[:, None]
     bases = pair_tables.pair_side_bases(table.size("thickness"), width)
     along = basis_values(bases[0], sums.nodes[0], middle[:, 0])
-    sums.add(every.modes, amounts, along, bases[1].dense(sums.nodes[1]), scenes)
+    across = bases[1].dense(sums.nodes[1])
+    sums.add(every.modes, amounts, along, across, scenes, turns=turns)

@@ -152,9 +152,9 @@ class PressedSensor(NamedTuple):
         problem = Problem("presses", described, lambda _: solved(self.state).arrays())
         return load_or_solve(problem, Correction.from_arrays)
 
-    def frame(self, shape: BentState | Deformation, x: float, y: float) -> ContactFrame:
-        """Frame of the top of the bent stack under (x, y) [m]."""
-        return ContactFrame.from_bent_top(shape, x, y, self.mechanics.stack(self.design))
+    def frames(self, shape: BentState | Deformation, places: Array) -> list[ContactFrame]:
+        """Frames of the top of the bent stack under places (n, 2) [m]."""
+        return ContactFrame.from_places(shape, places, self.mechanics.stack(self.design))
 
 
 def _describe(indenter: AnyIndenter) -> object:

@@ -261,12 +261,17 @@ class Corrections:
             )
 
     def evaluate(
-        self, places: Array, scenes: Indices, sums: NodeSums | None
+        self,
+        places: Array,
+        scenes: Indices,
+        sums: NodeSums | None,
+        turns: Numbers | None = None,
     ) -> tuple[list[list[Field]], Array]:
         """Corrections of presses at places (x, y, depth), (n, 3) [m].
 
         Returns fields of each that cannot be summed, and by how much deeper each sinks [m], (n,).
-        On a long rectangle all fields are added to those of `scenes` (n,) in the `sums`, if given.
+        On a long rectangle all fields are added to those of `scenes` (n,) in the `sums`, if given,
+        each turned as by `NodeSums.add`.
 
         Raises ConfigurationError for a press that overhangs the stack or is deeper than the tables.
         """
@@ -275,16 +280,20 @@ class Corrections:
             self.check_depth(depth)
             require_on_stack(outline, x, y, least)
         if self.strip and isinstance(outline, Rectangle):
-            extra = self._on_strip(outline, places, scenes, sums)
-            return [[] for _ in places], extra + self._rectangle_side_corrections(
-                places, scenes, sums
-            )
+            where = places, scenes, sums, turns
+            extra = self._on_strip(outline, *where) + self._rectangle_side_corrections(*where)
+            return [[] for _ in places], extra
         press = self._on_disc if isinstance(outline, Disc) else self._straight_side_correction
         found = [press(*place) for place in places.tolist()]
         return [fields for fields, _ in found], np.array([extra for _, extra in found])
 
     def _on_strip(
-        self, outline: Rectangle, places: Array, scenes: Indices, sums: NodeSums | None
+        self,
+        outline: Rectangle,
+        places: Array,
+        scenes: Indices,
+        sums: NodeSums | None,
+        turns: Numbers | None,
     ) -> Array:
         """Corrections on a long rectangle: those of a strip, and differences near both ends."""
         (x, y, depth), (strip, end) = places.T, self.strip
@@ -296,7 +305,8 @@ class Corrections:
         if sums:
             bases = tables.strip_bases(H, outline.width)
             along = basis_values(bases[0], sums.nodes[0], x)
-            sums.add(table.modes, amounts, along, bases[1].dense(sums.nodes[1]), scenes)
+            across = bases[1].dense(sums.nodes[1])
+            sums.add(table.modes, amounts, along, across, scenes, turns=turns)
         distance = np.stack([x, outline.length - x])
         far, near = np.nonzero(distance < end.nodes("distance_to_end")[-1])
         pressed = {name: values[near] for name, values in pressed.items()}
@@ -307,11 +317,12 @@ class Corrections:
             ends = tables.end_bases(H, outline.width)
             along, across = (basis.dense(at) for basis, at in zip(ends, sums.nodes, strict=True))
             image = np.stack([far, np.zeros_like(far)], axis=1)
-            sums.add(table.modes, amounts, along, across, scenes[near], image)
+            own = None if turns is None else turns[near]
+            sums.add(table.modes, amounts, along, across, scenes[near], image, own)
         return extra
 
     def _rectangle_side_corrections(
-        self, places: Array, scenes: Indices, sums: NodeSums | None
+        self, places: Array, scenes: Indices, sums: NodeSums | None, turns: Numbers | None
     ) -> Array:
         """Corrections next to the sides in reach, each of which is as one without ends.
 
@@ -345,7 +356,8 @@ class Corrections:
                 (table.transposed_modes, factors[::-1]) if upright else (table.modes, factors)
             )
             if len(here):
-                sums.add(modes, amounts[here], factors[0], factors[1], scenes[p], images[s])
+                turned = None if turns is None else turns[p]
+                sums.add(modes, amounts[here], factors[0], factors[1], scenes[p], images[s], turned)
         return extra
 
     def _straight_side_correction(self, x: float, y: float, depth: float) -> Corrected:

@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
+from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.outline import Polygon, Rectangle
 from eitskin.geometry.design.sensor import Free, Plates, SensorDesign
 from eitskin.geometry.design.surface import Surface
+from eitskin.simulator.deformation.contact import ContactFrame
 from eitskin.simulator.deformation.dents import (
     BentPresses,
     ColumnField,
@@ -42,7 +44,6 @@ from eitskin.simulator.scene.indenters import Cylinder, Footprint
 from eitskin.simulator.scene.scene import AnyIndenter, PressedTouch, Touch, neighbour_distance
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # Distances of the axis from the gel's edge and from another touch, below which signals are more
 # than 4 % off independent solutions, or not compared with them (docs/results/simulator.md) [m].
@@ -84,21 +85,39 @@ def dents(
     presses beyond the range of the model.
     """
     dented = [_solve_dents(*each) for each in zip(scenes, sensors, strict=True)]
+    bends = [sensor.bend for sensor in sensors]
+    frames = [
+        None if bend is None else _frames(one, sensor, bend)
+        for one, sensor, bend in zip(dented, sensors, bends, strict=True)
+    ]
     tabulated = [n for n, one in enumerate(dented) if one.solved is None]
     summed = _interpolate_corrections(
-        [dented[n] for n in tabulated], [sensors[n] for n in tabulated]
+        [dented[n] for n in tabulated],
+        [sensors[n] for n in tabulated],
+        [frames[n] for n in tabulated],
     )
     found: list[Dents | BentPresses] = []
-    for one, sensor in zip(dented, sensors, strict=True):
+    for one, bend, own in zip(dented, bends, frames, strict=True):
         fields = next(summed) if one.solved is None else (one.solved,)
-        if (bend := sensor.bend) is None:
-            placed = tuple(PlacedDent(t.x, t.y, dent) for _, t, dent in one.parts)
-            found.append(Dents(placed, fields))
-            continue
-        shape = bend if one.solved is None else sensor.state or bend
-        turned = ((sensor.frame(shape, t.x, t.y), dent) for _, t, dent in one.parts)
-        found.append(BentPresses(bend, tuple(turned), Dents((), fields)))
+        tops = (None,) * len(one.parts) if own is None else own[: len(one.parts)]
+        placed = Dents(
+            tuple(
+                PlacedDent(touch.x, touch.y, dent, top)
+                for (_, touch, dent), top in zip(one.parts, tops, strict=True)
+            ),
+            fields,
+        )
+        found.append(placed if bend is None else BentPresses(bend, placed))
     return found
+
+
+def _frames(scene: "_DentedScene", sensor: PressedSensor, bend: Deformation) -> list[ContactFrame]:
+    """Frames of the bent top at the parts of a scene, and in the middles of pairs by tables."""
+    places = np.array([(touch.x, touch.y) for _, touch, _ in scene.parts]).reshape(-1, 2)
+    if scene.solved is not None:
+        return sensor.frames(sensor.state or bend, places)
+    middles = [(places[a] + places[b]) / 2.0 for a, b in scene.pairs]
+    return sensor.frames(bend, np.stack([*places, *middles])) if len(places) else []
 
 
 def sketched_dents(touches: Iterable[Touch], design: SensorDesign) -> Dents:
@@ -133,6 +152,13 @@ class _DentedScene(NamedTuple):
         """Numbers of touches whose dents have not faded, the touches, and the dents."""
         return [(n, each.touch, each.dent) for n, each in enumerate(self.touches) if each.dent]
 
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """Pairs of the parts that are of different touches."""
+        numbers = [n for n, *_ in self.parts]
+        every = combinations(range(len(numbers)), 2)
+        return [(a, b) for a, b in every if numbers[a] != numbers[b]]
+
 
 def _solve_dents(
     touches: tuple[Touch, ...], sensor: PressedSensor, with_depths: bool = False
@@ -162,7 +188,9 @@ def _solve_dents(
 
 
 def _interpolate_corrections(
-    scenes: list[_DentedScene], sensors: list[PressedSensor]
+    scenes: list[_DentedScene],
+    sensors: list[PressedSensor],
+    frames: list[list[ContactFrame] | None],
 ) -> Iterator[tuple[ColumnField, ...]]:
     """Corrections of the dents of each scene by tables.
 
@@ -172,24 +200,15 @@ def _interpolate_corrections(
     pressed = [scene for scene in scenes if scene.parts]
     if not pressed:
         return iter([()] * len(scenes))
-    turns: list[Array] = []
-    slots = len(scenes)
-    if bent := sensors[0].is_bent:
-        presses = [(k, t.x, t.y) for k, one in enumerate(scenes) for _, t, _ in one.parts]
-        owners, places = [k for k, *_ in presses], np.array(presses)[:, 1:]
-        pairs = _touch_pairs(scenes)
-        middles = [(places[a] + places[b]) / 2.0 for a, b in pairs]
-        owners += [owners[a] for a, _ in pairs]
-        for k, (x, y) in zip(owners, np.stack([*places, *middles]).tolist(), strict=True):
-            if (bend := sensors[k].bend) is not None:
-                turns.append(sensors[k].frame(bend, x, y).rotation)
-        slots += len(turns)
-    sums, scales = _slot_sums(pressed[0], slots, sensors[0])
+    turns = None
+    if sensors[0].is_bent:
+        tops = [(own or [], len(one.parts)) for own, one in zip(frames, scenes, strict=True)]
+        parts = [frame.rotation for own, count in tops for frame in own[:count]]
+        turns = np.array(parts + [frame.rotation for own, count in tops for frame in own[count:]])
+    sums, scales = _scene_sums(pressed[0], len(scenes), sensors[0])
     fields: list[list[ColumnField]] = [[] for _ in scenes]
-    for owner, slot, field in _evaluate(scenes, sensors, sums, bent)[0]:
-        fields[owner].append(field.rotate(turns[slot]) if bent else field)
-    if sums is not None and bent:
-        sums.turn(np.array(turns), np.array(owners), scales)
+    for owner, field in _evaluate(scenes, sensors, sums, turns, scales)[0]:
+        fields[owner].append(field)
     summed = sums.fields(sensors[0].design.thickness, scales) if sums else [None] * len(scenes)
     return iter(
         [
@@ -199,74 +218,78 @@ def _interpolate_corrections(
     )
 
 
-def _slot_sums(
-    scene: _DentedScene, slots: int, sensor: PressedSensor
+def _scene_sums(
+    scene: _DentedScene, count: int, sensor: PressedSensor
 ) -> tuple[NodeSums | None, Array]:
-    """Sums of fields of slots where there are such, and factors of their components."""
+    """Sums of fields of scenes where there are such, and factors of their components."""
     design, mechanics, _, grid, plates = sensor
     table = corrections(design, mechanics, scene.parts[0][1].indenter, grid)
     components = 4 if mechanics.piezoresistivity.pressure else 3
     needs_sums = table.strip or plates is not None
-    return rectangle_sums(design, slots, components) if needs_sums else None, table.scales
+    return rectangle_sums(design, count, components) if needs_sums else None, table.scales
 
 
 def _evaluate(
     scenes: list[_DentedScene],
     sensors: list[PressedSensor],
     sums: NodeSums | None,
-    apart: bool = False,
-) -> tuple[list[tuple[int, int, Field]], Array]:
+    turns: Array | None = None,
+    scales: Array | None = None,
+) -> tuple[list[tuple[int, Field]], Array]:
     """Fields that are not in the sums, and by what the parts of scenes sink deeper [m].
 
-    Each field comes with the numbers of its scene and of its slot in the sums. There each scene has
-    a slot. Presses and pairs `apart` have one each, the presses first; the slots of scenes follow
-    and have what plates change.
+    Each field comes with the number of its scene. Turns (n, 3, 3) are those of all parts, then of
+    all pairs; sums hold components over scales (k,).
     """
     design, mechanics, _, grid, plates = sensors[0]
     presses = [(k, t, dent) for k, one in enumerate(scenes) for _, t, dent in one.parts]
     count, owners = len(presses), np.array([k for k, *_ in presses])
     places = np.array([(t.x, t.y, dent.depth) for _, t, dent in presses])
-    index_pairs = _touch_pairs(scenes)
-    slots = np.arange(count) if apart else owners
-    scene_slots = owners + (count + len(index_pairs)) * apart
-    angles = np.array([0.0 if s.plates is None else s.plates.angle_deg for s in sensors])[owners]
-    fields: list[tuple[int, int, Field]] = []
+    starts = np.cumsum([0] + [len(one.parts) for one in scenes]).tolist()
+    index_pairs = [
+        (start + a, start + b)
+        for start, one in zip(starts, scenes, strict=False)
+        for a, b in one.pairs
+    ]
+    scaled = None
+    if turns is not None and scales is not None:
+        scaled = (turns * scales[:3] / scales[:3, None]).astype(np.float32)
+    fields: list[tuple[int, Field]] = []
+
+    def add_field(owner: int, number: int, field: Field) -> None:
+        fields.append((owner, field if turns is None else field.rotate(turns[number])))
+
     extra = np.zeros(count)
     # In an order that does not depend on other scenes.
     for indenter in sorted({t.indenter for _, t, _ in presses}, key=repr):
         here = np.flatnonzero([t.indenter == indenter for _, t, _ in presses])
         table = corrections(design, mechanics, indenter, grid)
-        pair_fields, extra[here] = table.evaluate(places[here], slots[here], sums)
-        for n, each in zip(here.tolist(), pair_fields, strict=True):
-            fields += [(int(owners[n]), int(slots[n]), field) for field in each]
+        own = None if scaled is None else scaled[here]
+        press_fields, extra[here] = table.evaluate(places[here], owners[here], sums, own)
+        for n, each in zip(here.tolist(), press_fields, strict=True):
+            for field in each:
+                add_field(int(owners[n]), n, field)
         if plates is not None:
-            extra[here] += plates.evaluate(
-                indenter, places[here], angles[here], scene_slots[here], sums
-            )
+            angles = np.array([0.0 if s.plates is None else s.plates.angle_deg for s in sensors])
+            at = places[here], angles[owners[here]], owners[here]
+            extra[here] += plates.evaluate(indenter, *at, sums)
     # Between different indenters the change is that by those of the smaller one's kind.
     pairs: dict[AnyIndenter, list[tuple[int, int, int]]] = {}
     for number, (first, second) in enumerate(index_pairs):
         kinds = (presses[n][1].indenter for n in (first, second))
-        slot = count + number if apart else int(owners[first])
-        pairs.setdefault(min(kinds, key=lambda i: i.rims[1]), []).append((first, second, slot))
+        some = pairs.setdefault(min(kinds, key=lambda i: i.rims[1]), [])
+        some.append((first, second, count + number))
     for indenter, some in sorted(pairs.items(), key=lambda each: repr(each[0])):
-        one, other, slot_of = np.array(some).T
+        one, other, numbers = np.array(some).T
         changes = pair_corrections(design, mechanics, indenter, grid)
-        felt, deeper = changes.evaluate(places[one], places[other], slot_of, sums)
+        own = None if scaled is None else scaled[numbers]
+        felt, deeper = changes.evaluate(places[one], places[other], owners[one], sums, own)
         for end in (one, other):
             np.add.at(extra, end, deeper)
-        owned = zip(owners[one].tolist(), slot_of.tolist(), felt, strict=True)
-        fields += [(owner, slot, change) for owner, slot, change in owned if change is not None]
+        for n, number, change in zip(one.tolist(), numbers.tolist(), felt, strict=True):
+            if change is not None:
+                add_field(int(owners[n]), number, change)
     return fields, extra
-
-
-def _touch_pairs(scenes: list[_DentedScene]) -> list[tuple[int, int]]:
-    """Pairs of the parts of each scene, numbered through all, that are of different touches."""
-    owners = [(k, number) for k, one in enumerate(scenes) for number, *_ in one.parts]
-    pairs = combinations(range(len(owners)), 2)
-    return [
-        (a, b) for a, b in pairs if owners[a][0] == owners[b][0] and owners[a][1] != owners[b][1]
-    ]
 
 
 def require_model(touches: tuple[Touch, ...], sensor: PressedSensor) -> None:
