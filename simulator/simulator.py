@@ -38,11 +38,15 @@ from eitskin.simulator.deformation.touches import (
     require_model,
     resolve_touch_model,
 )
-from eitskin.simulator.electrical.batch import TOLERANCE
+from eitskin.simulator.electrical.batch import TOLERANCE, Tolerance
 from eitskin.simulator.electrical.deformed_layer import DeformedLayer
 from eitskin.simulator.electrical.forward_model import AreaRatio, ForwardModel
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
-from eitskin.simulator.electrical.sensor_impedances import SensorImpedances, without_touches
+from eitskin.simulator.electrical.sensor_impedances import (
+    SensorImpedances,
+    solve_together,
+    without_touches,
+)
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.scene import PressedTouch, Scene, Touch, require_bendable
@@ -121,7 +125,7 @@ class Simulator:
         self.touch_model: TouchModel | None = touch_model
         self.grid = grid or OWN_GRID
         breaks = _breaks(design, self.fixture)
-        self._impedances = SensorImpedances(
+        self.sensor_impedances = SensorImpedances(
             design, resolution, breaks, nominal, self.deformed_layers
         )
         self._last: tuple[tuple[Scene, float | None], NDArray[np.inexact]] | None = None
@@ -131,7 +135,7 @@ class Simulator:
     @property
     def model(self) -> ForwardModel:
         """Forward model of scenes without small indenters, which counts its factorisations."""
-        return self._impedances.own.base
+        return self.sensor_impedances.own.base
 
     @cached_property
     def full_scale(self) -> float:
@@ -218,8 +222,9 @@ class Simulator:
             self.design_on_support(scene)
             require_pressable(outline, scene.touches)
             return
-        for touch in scene.touches:
-            if not outline.contains(np.array([touch.x, touch.y])):
+        places = np.array([(touch.x, touch.y) for touch in scene.touches]).reshape(-1, 2)
+        for touch, inside in zip(scene.touches, outline.contains(places), strict=True):
+            if not inside:
                 raise ConfigurationError(
                     f"a touch must lie on the {type(outline).__name__.lower()} of "
                     f"{outline.length:g} x {outline.width:g} m, got ({touch.x:g}, {touch.y:g}) m; "
@@ -301,7 +306,7 @@ class Simulator:
         """
         key = scene, None if self.design.resolve_frequency(frequency) is self.design else frequency
         if self._last is None or self._last[0] != key:
-            solved = self._impedances.solve_scenes([scene], frequency=key[1])
+            solved = self.sensor_impedances.solve_scenes([scene], frequency=key[1])
             self._last = (key, solved[scene])
         return self._last[1].copy()  # the caller may change it
 
@@ -324,10 +329,7 @@ class Simulator:
                 what they change. 0 for each scene solved on its own, as by `measure`.
             instrument: whose circuit the sensor is part of; an ideal meter when omitted.
         """
-        solved = self.impedances(scenes, tolerance)
-        if instrument is not None:
-            return instrument.terminal_impedances(solved, self.protocol)
-        return self._noise_free_values(solved)
+        return measure_together([(self, scenes, instrument)], tolerance)[0]
 
     def impedances(
         self, scenes: Sequence[Scene], tolerance: float = TOLERANCE
@@ -336,13 +338,7 @@ class Simulator:
 
         Arguments as for `measure_all`.
         """
-        by_bend: dict[Scene, list[Scene]] = {}
-        for scene in dict.fromkeys(scenes):  # those of one bend follow each other
-            by_bend.setdefault(without_touches(scene), []).append(scene)
-        ordered = [scene for group in by_bend.values() for scene in group]
-        with kernels():
-            impedances = self._impedances.solve_scenes(ordered, tolerance)
-        return np.array([impedances[scene] for scene in scenes])
+        return impedances_together([(self, scenes)], tolerance)[0]
 
     def contact_sensitivities(
         self, scenes: Sequence[Scene], tolerance: float = TOLERANCE
@@ -353,7 +349,9 @@ class Simulator:
         contact impedances and conductivities.
         """
         with kernels():
-            sensitivities = self._impedances.contact_sensitivities(dict.fromkeys(scenes), tolerance)
+            sensitivities = self.sensor_impedances.contact_sensitivities(
+                dict.fromkeys(scenes), tolerance
+            )
         return np.array([sensitivities[scene] for scene in scenes])
 
     @property
@@ -419,6 +417,40 @@ class Simulator:
     def _noise_free_values(self, impedance: NDArray[np.inexact]) -> NDArray[np.complex128]:
         """Noise-free measurements of impedance matrices [ohm], (..., measurements)."""
         return np.asarray(self.protocol.measure(impedance), dtype=np.complex128)
+
+
+def impedances_together(
+    asked: Sequence[tuple[Simulator, Sequence[Scene]]], tolerance: Tolerance = TOLERANCE
+) -> list[NDArray[np.inexact]]:
+    """`Simulator.impedances` of several sensors, faster where they share a nominal one."""
+    ordered: list[tuple[SensorImpedances, list[Scene]]] = []
+    for simulator, scenes in asked:
+        by_bend: dict[Scene, list[Scene]] = {}
+        for scene in dict.fromkeys(scenes):  # those of one bend follow each other
+            by_bend.setdefault(without_touches(scene), []).append(scene)
+        ordered.append(
+            (simulator.sensor_impedances, [s for some in by_bend.values() for s in some])
+        )
+    with kernels():
+        solved = solve_together(ordered, tolerance)
+    return [
+        np.array([impedances[scene] for scene in scenes])
+        for (_, scenes), impedances in zip(asked, solved, strict=True)
+    ]
+
+
+def measure_together(
+    asked: Sequence[tuple[Simulator, Sequence[Scene], Instrument | None]],
+    tolerance: float = TOLERANCE,
+) -> list[NDArray[np.complex128]]:
+    """`Simulator.measure_all` of several sensors, faster where they share a nominal one."""
+    solved = impedances_together([(own, scenes) for own, scenes, _ in asked], tolerance)
+    return [
+        np.asarray(own.protocol.measure(Z), dtype=np.complex128)
+        if instrument is None
+        else instrument.terminal_impedances(Z, own.protocol)
+        for (own, _, instrument), Z in zip(asked, solved, strict=True)
+    ]
 
 
 def _breaks(design: SensorDesign, fixture: Fixture) -> tuple[float, ...]:

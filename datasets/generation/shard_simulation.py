@@ -31,7 +31,7 @@ from eitskin.simulator.electrical.sensor_impedances import without_touches
 from eitskin.simulator.instrument.drift import Session
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.simulator import Simulator
+from eitskin.simulator.simulator import Simulator, measure_together
 
 Impedance = NDArray[np.complex128]
 Solved = Mapping[tuple[int, Scene], Impedance]
@@ -147,6 +147,8 @@ def _solve(recipe: Recipe, samples: Sequence[Sample], skewed: bool) -> Solved:
         scenes += [without_touches(scene) for scene in scenes]
         scenes_by_specimen.setdefault(each.specimen, {}).update(dict.fromkeys(scenes))
     solved: dict[tuple[int, Scene], Impedance] = {}
+    asked: list[tuple[Simulator, list[Scene], Instrument]] = []
+    numbers: list[int] = []
     for number, distinct in scenes_by_specimen.items():
         made, board = specimen(recipe, number), instrument(recipe, number)
         solved[number, Scene()] = flat_impedance(made, recipe, board)
@@ -160,8 +162,10 @@ def _solve(recipe: Recipe, samples: Sequence[Sample], skewed: bool) -> Solved:
             simulator = _simulator(
                 made, recipe.nominal_sensor, recipe.resolution, recipe.protocol, tabulated=tabulated
             )
-            frames = simulator.measure_all(alike, instrument=board)
-            solved |= {(number, scene): row for scene, row in zip(alike, frames, strict=True)}
+            asked.append((simulator, alike, board))
+            numbers.append(number)
+    for number, (_, alike, _), frames in zip(numbers, asked, measure_together(asked), strict=True):
+        solved |= {(number, scene): row for scene, row in zip(alike, frames, strict=True)}
     return solved
 
 

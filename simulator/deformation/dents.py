@@ -192,9 +192,9 @@ class Dents(Deformation):
 
     def map_points(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and deformation gradient in one pass."""
-        return self.add_to(points, points, np.broadcast_to(np.eye(3), (*points.shape, 3)))
+        return self.accumulate(points, points, np.broadcast_to(np.eye(3), (*points.shape, 3)))
 
-    def add_to(
+    def accumulate(
         self, points: Points, places: Points, gradients: Gradients
     ) -> tuple[Points, Gradients]:
         """Places and gradients of flat points, with displacements and their gradients added."""
@@ -245,7 +245,7 @@ class BentPresses(Deformation):
 
     def map_points(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and deformation gradient in one pass."""
-        return self.dents.add_to(points, *self.bend.map_points(points))
+        return self.dents.accumulate(points, *self.bend.map_points(points))
 
     def mean_stress(self, points: Points) -> Array:
         """Mean stress by the presses [Pa] at flat points (..., 3) [m], (...)."""

@@ -196,6 +196,11 @@ class Assembly:
         self.facet_weights: Array = contacts.areas[:, None] * (weights / weights.sum())
         self._facet_rows, self._facet_columns = self._lower(self.facet_numbers)
 
+    @cached_property
+    def every_point(self) -> Array:
+        """Points of the cells, then those of the electrodes, (n, 3) [m]."""
+        return np.concatenate([self.points.reshape(-1, 3), self.facet_points.reshape(-1, 3)])
+
     def _lower(self, unknowns: Indices) -> tuple[Indices, Indices]:
         """Rows and columns, row >= column, for every pair of an element's unknowns, flattened."""
         i, j = np.tril_indices(unknowns.shape[1])
@@ -243,24 +248,26 @@ class Assembly:
         single = [each.astype(np.float32) for each in self._reference]
         return single, self._to_reference.astype(np.float32)
 
-    def condensed_matrices(self, matrices: Numbers) -> Numbers:
+    def condense_into(self, matrices: Numbers, out: Numbers) -> None:
         """Static condensation of element matrices (elements, entries).
 
-        Gives the symmetric matrices of the outer functions, (elements, outer, outer).
+        Sets `out` to the symmetric matrices of the outer functions, (elements, outer, outer).
         """
         outer = self.space.numbers.shape[1]
-        whole = np.empty((len(matrices), outer * outer), dtype=matrices.dtype)
         kernels = compiled_kernels("eitskin.simulator.electrical.kernels")
         if kernels is not None and matrices.dtype == np.float32:
-            inner = np.empty((len(matrices), self.space.element.inner, outer), np.float32)
-            kernels.eliminate(matrices, inner)
-            whole = np.ascontiguousarray(inner.swapaxes(1, 2)) @ inner
-            kernels.subtract_triangles(matrices, whole)
-            return whole
+            inner = np.empty((_AT_ONCE, self.space.element.inner, outer), np.float32)
+            for start in range(0, len(matrices), _AT_ONCE):
+                some = slice(start, start + _AT_ONCE)
+                rows = inner[: len(matrices[some])]
+                kernels.eliminate(matrices[some], rows)
+                np.matmul(np.ascontiguousarray(rows.swapaxes(1, 2)), rows, out=out[some])
+                kernels.subtract_triangles(matrices[some], out[some])
+            return
+        whole = out.reshape(len(out), -1)
         for part, own, change, _ in self._condensations(matrices):
             np.take(own, self._whole.ravel(), axis=1, out=whole[part], mode="clip")
-            whole[part] += change
-        return whole.reshape(-1, outer, outer)
+            np.add(whole[part], change, out=whole[part])
 
     def condense(self, matrices: Numbers) -> Stiffness:
         """Condensed stiffness of element matrices (elements, entries)."""

@@ -56,16 +56,18 @@ class LayerFields(NamedTuple):
     Attributes:
         tensors: entries xx, yy, zz, xy, xz, yz of J F^-1 sigma F^-T, (cells, q, 6) [S/m].
         area_ratio: deformed over flat area of the electrodes, (pieces, q).
+        contact_impedance: contact impedance of the electrodes, (electrodes,) [ohm m2].
     """
 
     tensors: Numbers
     area_ratio: Array
+    contact_impedance: Numbers
 
     @classmethod
     def from_layer(cls, layer: DeformedLayer, assembly: Assembly) -> "LayerFields":
         """Layer at the points at which matrices are assembled."""
-        ratio = layer.area_ratio(assembly.facet_points, assembly.facet_normals)
-        return cls(layer.entries(assembly.points), ratio)
+        where = assembly.every_point, assembly.points.shape[:2], assembly.facet_normals
+        return cls(*layer.entries_and_ratio(*where), layer.contact_impedance)
 
 
 class Base(NamedTuple):
@@ -120,6 +122,7 @@ class BatchSolver:
         contact = assembly.electrode_terms(layer.contact_impedance, fields.area_ratio)
         stiffness = assembly.condense(assembly.matrices(fields.tensors))
         system = pattern.system(stiffness.values, contact)
+        self.lifted = np.asarray(system.lift.any(axis=0))
         self.lift, self.grounded = system.lift, float(np.real(system.values[-1]))
         factors = model.solver.factorise(system.values)
         w = np.real(factors.solve(system.coupling))
@@ -144,9 +147,7 @@ class BatchSolver:
     @one_thread()
     def solve(
         self,
-        scenes: Iterable[LayerFields],
-        contact_impedance: Numbers,
-        base: Base,
+        scenes: Iterable[tuple[LayerFields, Base]],
         tolerance: Tolerance = TOLERANCE,
         potentials: bool = False,
         width: int | None = None,
@@ -154,9 +155,8 @@ class BatchSolver:
         """Solutions of scenes; None for each that differs too much from the factorised one.
 
         Args:
-            scenes: scenes of one sensor, taken one by one as places become free.
-            contact_impedance: contact impedance of the sensor's electrodes, (electrodes,) [ohm m2].
-            base: flat sensor, where the corrections begin.
+            scenes: scenes, each with its flat sensor, where its corrections begin; taken one by one
+                as places become free.
             tolerance: tolerance of the change of each from the flat sensor.
             potentials: whether they are wanted, too.
             width: scenes that are corrected at once, on which last digits depend.
@@ -170,13 +170,14 @@ class BatchSolver:
         firsts = [margin + k * electrodes for k in range(width)]
         places = [slice(first, first + electrodes) for first in firsts]
         x = np.zeros((len(self.order), columns + 2 * margin), dtype=np.float32)
+        workspaces = _workspaces(self, tolerance, width)
         solved: dict[int, Solution | None] = {}
         active: dict[int, _Projection] = {}
         while True:
             free = [place for place in range(width) if place not in active]
             fresh = {
-                place: _Projection(self, number, fields, contact_impedance, base, tolerance)
-                for place, (number, fields) in zip(free, waiting, strict=False)
+                place: _Projection(self, number, *scene, tolerance, workspaces[place])
+                for place, (number, scene) in zip(free, waiting, strict=False)
             }
             _advance(fresh.values())
             active |= fresh
@@ -195,6 +196,35 @@ class BatchSolver:
                     del active[place]
 
 
+class _Workspace(NamedTuple):
+    """Arrays in which one scene after the other is solved: memory is slow while it is fresh.
+
+    Attributes:
+        matrices: condensed element matrices, (elements, functions, functions).
+        vectors, products: vectors of the space, and their products with the matrix, (blocks,
+            unknowns, electrodes) each.
+        parts: vectors in each element, and products, (2, elements, functions, electrodes), which
+            all workspaces share.
+    """
+
+    matrices: Numbers
+    vectors: Array
+    products: Array
+    parts: Numbers
+
+
+def _workspaces(solver: "BatchSolver", tolerance: Tolerance, count: int) -> list[_Workspace]:
+    """Workspaces of scenes; element matrices are in single precision where that suffices."""
+    kernels = compiled_kernels("eitskin.simulator.electrical.kernels")
+    kind = np.float32 if kernels and tolerance >= _SINGLE else np.float64
+    assembly, electrodes = solver.model.assembly, len(solver.base.impedance)
+    elements, outer = assembly.space.numbers.shape
+    parts = np.empty((2, elements, outer, electrodes), kind)
+    matrices = np.empty((count, elements, outer, outer), kind)
+    V, AV = np.empty((2, count, _MAX_CORRECTIONS + 1, len(solver.order), electrodes))
+    return [_Workspace(matrices[k], V[k], AV[k], parts) for k in range(count)]
+
+
 class _Projection:
     """Galerkin projection of one scene.
 
@@ -208,26 +238,25 @@ class _Projection:
         solver: BatchSolver,
         number: int,
         fields: LayerFields,
-        contact_impedance: Numbers,
         base: Base,
         tolerance: Tolerance,
+        workspace: _Workspace,
     ) -> None:
-        self.number, self._solver = number, solver
+        self.number, self._solver, self._workspace = number, solver, workspace
         self._flat, self._tolerance = base.impedance, tolerance
-        kernels = compiled_kernels("eitskin.simulator.electrical.kernels")
-        self._kind = np.float32 if kernels and tolerance >= _SINGLE else np.float64
+        self._kind = workspace.matrices.dtype.type
         assembly, pattern = solver.model.assembly, solver.model.pattern
         tensors: Numbers = fields.tensors.astype(self._kind, copy=False)
-        self._matrices = assembly.condensed_matrices(assembly.matrices(tensors))
-        contact = assembly.electrode_terms(contact_impedance, fields.area_ratio)
+        self._matrices = workspace.matrices
+        assembly.condense_into(assembly.matrices(tensors), self._matrices)
+        contact = assembly.electrode_terms(fields.contact_impedance, fields.area_ratio)
         self._pieces = np.real(contact.matrices)
-        lifted = np.asarray(solver.lift.any(axis=0))
         near = self._matrices[pattern.lifting]
-        B, D, _ = pattern.forms(near, solver.grounded, contact, lifted)
+        B, D, _ = pattern.forms(near, solver.grounded, contact, solver.lifted)
         self._B, self.D = np.real(B)[solver.order], np.real(D)
         self._scale = 1.0 / np.abs(self._B).max()
         electrodes = len(self.D)
-        self._V, self._AV = np.empty((2, _MAX_CORRECTIONS + 1, *self._B.shape))
+        self._V, self._AV = workspace.vectors, workspace.products
         self._gram, self._loads = np.zeros((0, 0)), np.zeros((0, electrodes))
         self._impedances: list[Array] = []
         self._changes = [np.inf]
@@ -240,8 +269,9 @@ class _Projection:
         count, size = own // more.shape[1], own + more.shape[1]
         V, AV = self._V[count], self._AV[count]
         V[:] = more
-        AV[:] = solver.elements.product(self._matrices, V)
-        AV += solver.facets.product(self._pieces, V)
+        AV[:] = 0.0
+        solver.elements.add_product(self._matrices, V, AV, self._workspace.parts)
+        solver.facets.add_product(self._pieces, V, AV)
         AV[solver.ground] += solver.grounded * V[solver.ground]
         gram = np.empty((size, size))
         gram[:own, :own] = self._gram

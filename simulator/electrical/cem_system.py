@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
 Indices = NDArray[np.int64]
 
+_FEW = 64  # elements that are added one by one
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CemSystem:
@@ -89,18 +91,29 @@ class ElementProducts:
         shape = count, self._unknowns
         return csr_array((np.ones(count), self._numbers.ravel(), ends), shape).T.tocsr()
 
-    def product(self, matrices: Numbers, vectors: Numbers) -> Numbers:
-        """Sum of matrices (elements, functions, functions) times vectors, (unknowns, k) both."""
+    def add_product(
+        self, matrices: Numbers, vectors: Numbers, total: Numbers, parts: Numbers | None = None
+    ) -> None:
+        """Add matrices (elements, functions, functions) times vectors to `total`.
+
+        Vectors and total are (unknowns, k); parts (2, elements, functions, k) are room for the
+        vectors in each element and their products.
+        """
         kernels = compiled_kernels("eitskin.simulator.electrical.kernels")
         if kernels is None or matrices.dtype != np.float32:
             each = matrices @ vectors[self._numbers]
-            return np.asarray(self._gather_matrix @ each.reshape(-1, vectors.shape[1]))
+            if len(self._numbers) <= _FEW:
+                for numbers, own in zip(self._numbers, each, strict=True):
+                    total[numbers] += own
+            else:
+                total += self._gather_matrix @ each.reshape(-1, vectors.shape[1])
+            return
         place = self._numbers, self._one, int(np.argmax(self._one != 0.0))
-        parts = np.empty((*self._numbers.shape, vectors.shape[1]), dtype=np.float32)
-        kernels.gather(np.ascontiguousarray(vectors), *place, parts)
-        total = np.zeros(vectors.shape)
-        kernels.scatter(matrices @ parts, *place, total)
-        return total
+        if parts is None:
+            parts = np.empty((2, *self._numbers.shape, vectors.shape[1]), dtype=np.float32)
+        kernels.gather(np.ascontiguousarray(vectors), *place, parts[0])
+        np.matmul(matrices, parts[0], out=parts[1])
+        kernels.scatter(parts[1], *place, total)
 
 
 class SystemPattern:
@@ -160,7 +173,8 @@ class SystemPattern:
         E = self._lift
         if lifted is not None and not lifted.any():
             return contact.coupling, np.diag(contact.admittance), np.zeros_like(E)
-        KE = self._products.product(matrices, E)
+        KE = np.zeros(E.shape, matrices.dtype if np.iscomplexobj(matrices) else E.dtype)
+        self._products.add_product(matrices, E, KE)
         KE[self.ground] += ground * E[self.ground]
         energy = E.T @ KE
         if lifted is None:

@@ -56,8 +56,28 @@ class DeformedLayer:
         At flat points x (..., 3) [m].
         """
         own = x if self.shift is None else self.shift.positions(x)
+        return self._pull_back(own, self._gradients(x))
+
+    def entries_and_ratio(
+        self, points: Array, cells: tuple[int, int], normals: Array
+    ) -> tuple[NDArray[np.inexact], Array]:
+        """`entries` at points of cells (cells, q) and `area_ratio` at those of surfaces.
+
+        Args:
+            points: points of the cells, then of the surfaces, (n, 3) [m].
+            cells: number of cells and of points in each.
+            normals: unit normals of the surfaces, (surfaces, 1, 3).
+        """
+        own = points if self.shift is None else self.shift.positions(points)
+        count, factors = cells[0] * cells[1], self._gradients(points)
+        entries = self._pull_back(own[:count], [F[:count] for F in factors])
+        faces = [F[count:].reshape(len(normals), -1, 3, 3) for F in factors]
+        shape = len(normals), (len(points) - count) // len(normals)
+        return entries.reshape(*cells, 6), _ratio(faces, normals, shape)
+
+    def _pull_back(self, own: Array, factors: list[Array]) -> NDArray[np.inexact]:
+        """Entries as of `entries` at points of this sensor, from `_gradients`."""
         sigma = self.design.evaluate_conductivity(own)
-        factors = self._gradients(x)
         if not factors:
             return np.asarray(sigma[..., None] * np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]))
         if self.deformation is not None and self.piezoresistivity != Piezoresistivity():
@@ -90,7 +110,9 @@ class DeformedLayer:
 
     def area_ratio(self, x: Array, normal: Array) -> Array:
         """Deformed over flat area of surfaces at flat points with unit normals (..., 3), (...)."""
-        factors = self._gradients(x)
-        if not factors:
-            return np.ones(x.shape[:-1])
-        return area_ratio(reduce(np.matmul, factors), normal)
+        return _ratio(self._gradients(x), normal, x.shape[:-1])
+
+
+def _ratio(factors: list[Array], normal: Array, shape: tuple[int, ...]) -> Array:
+    """Area ratio by the product of gradients."""
+    return area_ratio(reduce(np.matmul, factors), normal) if factors else np.ones(shape)

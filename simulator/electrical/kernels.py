@@ -1,7 +1,7 @@
 """Compiled loops of the batched solver, with element matrices in single precision.
 
-Plain twins in double: `cem_system.ElementProducts`, `assembly.Assembly.condensed_matrices` and
-`batch.projected`.
+Plain twins in double: `cem_system.ElementProducts`, `assembly.Assembly.condense_into` and
+`batch.project_galerkin`.
 """
 
 import math

@@ -118,6 +118,9 @@ class SensorImpedances:
 
     Sensors that differ from a nominal one in electrode positions, thickness, conductivity and
     contacts share its meshes and factors: nothing is meshed or factorised for them.
+
+    Attributes:
+        shared: forward models on the meshes of the nominal sensor, if they suit.
     """
 
     def __init__(
@@ -140,7 +143,7 @@ class SensorImpedances:
         self._layers_of = layers_of
         shares = nominal and not (breaks or nominal.is_complex or design.is_complex)
         self._shift = electrode_shift(nominal, design) if nominal and shares else None
-        self._shared = (
+        self.shared = (
             self.own
             if nominal is None or self._shift is None
             else nominal_family(nominal, resolution)
@@ -164,25 +167,7 @@ class SensorImpedances:
         The change that touches of small indenters make on a finer mesh is added to the impedance
         without touches on the base mesh, so that errors of the two meshes do not enter it.
         """
-        family = self.own if tolerance == EXACT else self._shared
-        suited = {scene: family.model_for_touches(scene.touches) for scene in scenes}
-        wanted: dict[ForwardModel, dict[Scene, None]] = {}
-        for scene, model in suited.items():
-            wanted.setdefault(model, {})[scene] = None
-            if model is not family.base:
-                for each in (model, family.base):
-                    wanted.setdefault(each, {})[without_touches(scene)] = None
-        solved = {
-            model: self._solve_on_mesh(model, list(asked), tolerance, frequency)
-            for model, asked in wanted.items()
-        }
-        found = {}
-        for scene, model in suited.items():
-            found[scene] = solved[model][scene]
-            if model is not family.base:
-                bare = without_touches(scene)
-                found[scene] = solved[family.base][bare] + (found[scene] - solved[model][bare])
-        return found
+        return solve_together([(self, scenes)], tolerance, frequency)[0]
 
     def contact_sensitivities(
         self, scenes: Iterable[Scene], tolerance: Tolerance
@@ -194,20 +179,20 @@ class SensorImpedances:
         """
         suited: dict[ForwardModel, list[Scene]] = {}
         for scene in scenes:
-            suited.setdefault(self._shared.model_for_touches(scene.touches), []).append(scene)
+            suited.setdefault(self.shared.model_for_touches(scene.touches), []).append(scene)
         sensitivities: dict[Scene, Array] = {}
         z = self._design.contact_impedance
         for model, some in suited.items():
-            base, assembly = self._base(model), model.assembly
+            base, assembly = self.base(model), model.assembly
             if base is None:
                 raise ConfigurationError(
                     "derivatives by contact impedances need real ones, and a sensor near its "
                     f"nominal one; got {z}"
                 )
-            solver = self._shared.solver(model)
-            layers = self._layers(some)
-            fields = (LayerFields.from_layer(layer, assembly) for layer in layers)
-            solutions = solver.solve(fields, z, base, tolerance, potentials=True)
+            solver = self.shared.solver(model)
+            layers = self.layers(some)
+            fields = ((LayerFields.from_layer(layer, assembly), base) for layer in layers)
+            solutions = solver.solve(fields, tolerance, potentials=True)
             for scene, layer, solution in zip(some, layers, solutions, strict=True):
                 if solution is None:
                     gram = model.contact_gram(layer.conductivity, layer.area_ratio, z)
@@ -220,38 +205,7 @@ class SensorImpedances:
                 sensitivities[scene] = np.real(gram)
         return sensitivities
 
-    def _solve_on_mesh(
-        self,
-        model: ForwardModel,
-        scenes: Sequence[Scene],
-        tolerance: Tolerance,
-        frequency: float | None,
-    ) -> dict[Scene, Numbers]:
-        """Impedances [ohm] of scenes on one of the meshes."""
-        base = None if tolerance == EXACT else self._base(model)
-        if base is None:
-            return {scene: self._alone(model, scene, tolerance, frequency) for scene in scenes}
-        impedances: dict[Scene, Numbers] = {}
-        deformed: list[Scene] = []
-
-        def fields() -> Iterator[LayerFields]:
-            for start in range(0, len(scenes), _AT_ONCE):
-                some = scenes[start : start + _AT_ONCE]
-                for scene, layer in zip(some, self._layers(some), strict=True):
-                    if layer.deformation is None:
-                        impedances[scene] = base.impedance
-                    else:
-                        deformed.append(scene)
-                        yield LayerFields.from_layer(layer, model.assembly)
-
-        z = self._design.contact_impedance
-        solutions = self._shared.solver(model).solve(fields(), z, base, tolerance)
-        for scene, solution in zip(deformed, solutions, strict=True):
-            start = None if solution is None else solution.impedance
-            impedances[scene] = self._alone(model, scene, tolerance) if start is None else start
-        return impedances
-
-    def _alone(
+    def solve_alone(
         self,
         model: ForwardModel,
         scene: Scene,
@@ -262,7 +216,7 @@ class SensorImpedances:
         last = self._last.get((model, tolerance, frequency))
         if last is not None and last[0] == scene:
             return last[1]
-        (layer,) = self._layers_of([scene]) if tolerance == EXACT else self._layers([scene])
+        (layer,) = self._layers_of([scene]) if tolerance == EXACT else self.layers([scene])
         if layer.is_flat:
             same = frequency is None
             return model.flat_impedance if same else model.impedance(frequency=frequency)
@@ -274,12 +228,12 @@ class SensorImpedances:
             self._last[model, tolerance, frequency] = scene, Z
         return Z
 
-    def _layers(self, scenes: Sequence[Scene]) -> list[DeformedLayer]:
+    def layers(self, scenes: Sequence[Scene]) -> list[DeformedLayer]:
         """Deformed layers on the points of the shared meshes."""
         layers = self._layers_of(scenes)
         return [dataclasses.replace(layer, shift=self._shift) for layer in layers]
 
-    def _base(self, model: ForwardModel) -> Base | None:
+    def base(self, model: ForwardModel) -> Base | None:
         """The flat sensor as solved on a shared mesh.
 
         None for complex conductivities or contact impedances, and where the nominal sensor differs
@@ -288,16 +242,91 @@ class SensorImpedances:
         if model not in self._bases:
             coarse_model = None
             if not model.design.is_complex:
-                solver = self._shared.solver(model)
+                solver = self.shared.solver(model)
                 coarse_model = solver.base
                 if self._shift is not None:
                     flat = DeformedLayer(self._design, None, Piezoresistivity(), shift=self._shift)
-                    z = self._design.contact_impedance
                     fields = LayerFields.from_layer(flat, model.assembly)
-                    (own,) = solver.solve([fields], z, coarse_model, _BASE, True, width=1)
+                    (own,) = solver.solve([(fields, coarse_model)], _BASE, True, width=1)
                     coarse_model = None if own is None else Base(own.impedance, own.potentials)
             self._bases[model] = coarse_model
         return self._bases[model]
+
+
+def solve_together(
+    asked: Iterable[tuple[SensorImpedances, Iterable[Scene]]],
+    tolerance: Tolerance,
+    frequency: float | None = None,
+) -> list[dict[Scene, Numbers]]:
+    """Impedances [ohm] of scenes of several sensors, as by `SensorImpedances.solve_scenes`.
+
+    Those of sensors that share meshes are corrected side by side. None depends on another.
+    """
+    sensors = [
+        (sensor, sensor.own if tolerance == EXACT else sensor.shared, tuple(scenes))
+        for sensor, scenes in asked
+    ]
+    wanted: dict[ForwardModel, dict[tuple[SensorImpedances, Scene], None]] = {}
+    for sensor, family, scenes in sensors:
+        for scene in scenes:
+            model = family.model_for_touches(scene.touches)
+            wanted.setdefault(model, {})[sensor, scene] = None
+            if model is not family.base:
+                for each in (model, family.base):
+                    wanted.setdefault(each, {})[sensor, without_touches(scene)] = None
+    solved = {
+        model: _solve_on_mesh(model, list(some), tolerance, frequency)
+        for model, some in wanted.items()
+    }
+    found: list[dict[Scene, Numbers]] = []
+    for sensor, family, scenes in sensors:
+        found.append({})
+        for scene in scenes:
+            model, bare = family.model_for_touches(scene.touches), (sensor, without_touches(scene))
+            found[-1][scene] = solved[model][sensor, scene]
+            if model is not family.base:
+                change = found[-1][scene] - solved[model][bare]
+                found[-1][scene] = solved[family.base][bare] + change
+    return found
+
+
+def _solve_on_mesh(
+    model: ForwardModel,
+    asked: Sequence[tuple[SensorImpedances, Scene]],
+    tolerance: Tolerance,
+    frequency: float | None,
+) -> dict[tuple[SensorImpedances, Scene], Numbers]:
+    """Impedances [ohm] of scenes on one of the meshes, those of each sensor together."""
+    impedances: dict[tuple[SensorImpedances, Scene], Numbers] = {}
+    deformed: list[tuple[SensorImpedances, Scene]] = []
+    by_sensor: dict[SensorImpedances, list[Scene]] = {}
+    for sensor, scene in asked:
+        by_sensor.setdefault(sensor, []).append(scene)
+    bases = {each: None if tolerance == EXACT else each.base(model) for each in by_sensor}
+
+    def fields() -> Iterator[tuple[LayerFields, Base]]:
+        for sensor, scenes in by_sensor.items():
+            if (base := bases[sensor]) is None:
+                continue
+            for start in range(0, len(scenes), _AT_ONCE):
+                some = scenes[start : start + _AT_ONCE]
+                for scene, layer in zip(some, sensor.layers(some), strict=True):
+                    if layer.deformation is None:
+                        impedances[sensor, scene] = base.impedance
+                    else:
+                        deformed.append((sensor, scene))
+                        yield LayerFields.from_layer(layer, model.assembly), base
+
+    solver = next((s.shared.solver(model) for s, base in bases.items() if base is not None), None)
+    if solver is not None:
+        solutions = solver.solve(fields(), tolerance)
+        for each, solution in zip(deformed, solutions, strict=True):
+            if solution is not None:
+                impedances[each] = solution.impedance
+    for sensor, scene in asked:
+        if (sensor, scene) not in impedances:
+            impedances[sensor, scene] = sensor.solve_alone(model, scene, tolerance, frequency)
+    return impedances
 
 
 def without_touches(scene: Scene) -> Scene:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from eitskin.datasets import Recipe, State
+from eitskin.datasets.generation import shard_simulation
 from eitskin.datasets.generation.shard_simulation import simulate_shard
 from eitskin.datasets.recipe.episode import (
     EpisodeTouch,
@@ -17,7 +18,7 @@ from eitskin.datasets.recipe.episode import (
 from eitskin.datasets.recipe.frame_sampling import sample
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.geometry import Bend, Electrode, Hinge, Rectangle, SensorDesign
-from eitskin.simulator import Instrument, Scene, Simulator, Touch
+from eitskin.simulator import Instrument, Scene, Simulator, Touch, simulator
 from eitskin.simulator.mechanics.touch_history import HeldTouch
 from eitskin.simulator.mechanics.viscoelasticity import REFERENCE, elastic_force
 
@@ -46,12 +47,15 @@ def recipe(*episodes, **changes) -> Recipe:
     return Recipe("episodes", episodes=episodes, seed=3, **changes)
 
 
-def linear_in_the_angle(self, scenes, **_options):
+def linear_in_the_angle(asked, *_tolerance):
     """Impedances as a made-up sensor would have them, 1 ohm per degree and newton."""
-    values = [
-        100.0 + scene.bend.angle_deg + sum(t.force for t in scene.touches) for scene in scenes
+    return [
+        np.outer(
+            [100.0 + each.bend.angle_deg + sum(t.force for t in each.touches) for each in scenes],
+            np.arange(1, len(own.protocol) + 1),
+        ).astype(complex)
+        for own, scenes, _ in asked
     ]
-    return np.outer(values, np.arange(1, len(self.protocol) + 1)).astype(complex)
 
 
 # What is told
@@ -165,7 +169,8 @@ def test_frames_of_an_episode_are_labelled_and_follow_each_other():
 
 
 def test_skew_and_drift_are_exact_where_signals_are_linear_in_time(monkeypatch):
-    monkeypatch.setattr(Simulator, "measure_all", linear_in_the_angle)
+    for module in (simulator, shard_simulation):
+        monkeypatch.setattr(module, "measure_together", linear_in_the_angle)
     data = simulate_shard(recipe(script(*SWEEP, period=0.35), instrument=SCANNED), 0)
     assert len(data) == 10
     offsets = 0.0106 * np.arange(28)
@@ -173,7 +178,6 @@ def test_skew_and_drift_are_exact_where_signals_are_linear_in_time(monkeypatch):
     assert data.impedance.real == pytest.approx((100.0 + angles) * np.arange(1, 29), rel=1e-6)
     assert data.touch_reference == pytest.approx(data.impedance, rel=1e-6)
     assert data.bend_angle_deg == pytest.approx(-20.0 + 7.0 * np.arange(10))
-    monkeypatch.setattr(Simulator, "measure_all", linear_in_the_angle)
     drifting = Instrument(snr_db=0.0, drift=0.1)
     still = script(Keyframe(0.0, 5.0), Keyframe(600.0, 5.0), period=10.0, count=3)
     asked = recipe(still, instrument=drifting, frames_per_shard=60, specimens=Specimens(1))

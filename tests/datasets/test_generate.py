@@ -18,6 +18,7 @@ import pytest
 
 from eitskin.datasets import Recipe, generate, open_dataset
 from eitskin.datasets.generation import generate as generation
+from eitskin.datasets.generation import shard_simulation
 from eitskin.datasets.generation.preparation import estimate_cost, free_bytes, solved_frames
 from eitskin.datasets.generation.shard_simulation import simulate_frames, simulate_shard
 from eitskin.datasets.recipe.episode import RandomEpisodes
@@ -217,11 +218,14 @@ def test_occupied_folders_are_refused(whole, tmp_path, monkeypatch):
 def test_presses_on_a_membrane_are_solved_beside_tabulated_ones(monkeypatch):
     asked = set()
 
-    def measured(self, scenes, **_):
-        asked.update((scene.support, self.touch_model) for scene in scenes)
-        return np.ones((len(scenes), 28))
+    def measured(some):
+        asked.update(
+            (scene.support, own.touch_model) for own, scenes, _ in some for scene in scenes
+        )
+        return [np.ones((len(scenes), 2, 28)) for _, scenes, _ in some]
 
-    monkeypatch.setattr(Simulator, "measure_all", measured)
+    monkeypatch.setattr(shard_simulation, "measure_together", measured)
+    monkeypatch.setattr(shard_simulation, "flat_impedance", lambda *_: np.ones((2, 28)))
     group = SceneGroup("touch", count=1)
     others = [dataclasses.replace(group, support=each) for each in (Plates(), Free())]
     recipe = Recipe("supports", scenes=(group, *others))

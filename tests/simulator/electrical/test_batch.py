@@ -32,6 +32,7 @@ from eitskin.simulator.electrical.function_space import estimated_memory
 from eitskin.simulator.electrical.resolution import discretisation, press_length, suited_cells
 from eitskin.simulator.electrical.sensor_impedances import SensorImpedances
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
+from eitskin.simulator.simulator import impedances_together
 
 from contacts import with_contacts
 
@@ -99,8 +100,8 @@ def test_electrodes_of_any_contact_impedance(z) -> None:
 
 def solved(solver, layer, tolerance=TOLERANCE):
     """Impedances [ohm] of one layer, begun with the factorised one."""
-    fields = [LayerFields.from_layer(layer, solver.model.assembly)]
-    return solver.solve(fields, layer.contact_impedance, solver.base, tolerance)[0].impedance
+    fields = LayerFields.from_layer(layer, solver.model.assembly)
+    return solver.solve([(fields, solver.base)], tolerance)[0].impedance
 
 
 @pytest.mark.parametrize(
@@ -127,6 +128,11 @@ class Layer:
     shift: None = None
     deformation = is_flat = False
     contact_impedance = SensorDesign.reference().contact_impedance
+
+    def entries_and_ratio(self, points, cells, normals):
+        count = cells[0] * cells[1]
+        ratio = np.ones((len(normals), (len(points) - count) // len(normals)))
+        return self.entries(points[:count].reshape(*cells, 3)), ratio
 
     def entries(self, x):
         return self.sigma(x)[..., None] * np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
@@ -228,10 +234,14 @@ def test_specimens_share_a_mesh_and_factors(small) -> None:
     for one, other in zip(bent, plain, strict=True):
         signal = other / exact - 1.0
         assert np.linalg.norm(one / flat - 1.0 - signal) < 0.02 * np.linalg.norm(signal)
-    family = shared._impedances._shared
-    assert family is twin._impedances._shared
+    family = shared.sensor_impedances.shared
+    assert family is twin.sensor_impedances.shared
     before = family.base.factorisations
     assert np.array_equal(twin.measure_all(some[::-1])[::-1].real, bent)
+    beside = impedances_together([(twin, some[::-1]), (shared, some[:1])])
+    alone = shared.impedances(some)
+    assert np.array_equal(beside[0][::-1], alone)
+    assert np.array_equal(beside[1], alone[:1])
     assert family.base.factorisations == before
 
 
@@ -283,7 +293,7 @@ def test_many_scenes_of_two_meshes_are_those_of_one_by_one(monkeypatch) -> None:
     """Light presses stand for those of small indenters, whose dents take minutes to solve."""
     sim = Simulator(SensorDesign.reference(), "coarse")
     fine = ForwardModel(sim.design, ((3, 2, 1), Grading(1.5e-3, 6e-3, 2.0)))
-    family = sim._impedances.own
+    family = sim.sensor_impedances.own
     suited = lambda touches: fine if any(t.force < 5.0 for t in touches) else family.base  # noqa: E731
     monkeypatch.setattr(family, "model_for_touches", suited)
     scenes = [Scene(touches=(Touch(x, 0.03, F),)) for F in (10.0, 2.0) for x in (0.04, 0.06, 0.08)]
@@ -362,13 +372,13 @@ def test_many_electrodes_have_prisms_and_simulators_of_a_design_share_its_mesh()
     assert one.model.factorisations == solved
     assert Simulator(ring, "coarse", Hinge(0.030)).model is not one.model
     sim = Simulator(SensorDesign.reference(), "fast")
-    family, small = sim._impedances.own, Touch(0.05, 0.03, indenter=Sphere(0.003))
+    family, small = sim.sensor_impedances.own, Touch(0.05, 0.03, indenter=Sphere(0.003))
     wide = [Touch(0.05, 0.03), Touch(0.05, 0.03, indenter=Cylinder(0.01))]
     assert family.model_for_touches([]) is family.model_for_touches(wide) is sim.model
     fine = family.model_for_touches([*wide, small])
     assert len(fine.mesh.cells) > len(sim.model.mesh.cells)
     own = Simulator(SensorDesign.reference(), ((3, 2, 1), Grading(1e-3, 6e-3, 2.0)))
-    assert own._impedances.own.model_for_touches([small]) is own.model
+    assert own.sensor_impedances.own.model_for_touches([small]) is own.model
 
 
 @pytest.mark.slow
