@@ -268,7 +268,7 @@ def _relative_residual(
 def require_plausible(
     touched: KnownFrames, found: Sequence[FoundTouches], force: float | None
 ) -> None:
-    """Refuse known touches in other units, or of which most are found elsewhere; DataError.
+    """Refuse known touches in other units, or of which most are found elsewhere or not at all.
 
     Args:
         touched: frames with known touches.
@@ -287,8 +287,11 @@ def require_plausible(
         if one and len(estimate)
         for place in known[np.isfinite(known[:, 0]), :2]
     ]
+    missed = sum(not len(estimate) for estimate, one in zip(found, single, strict=True) if one)
     away = np.array([math.dist(*pair) for pair in pairs])
-    if len(away) >= MIN_TOUCHES and np.median(away) > MATCH_RADIUS:
+    everywhere = np.append(away, np.full(missed, np.inf))
+    elsewhere = len(everywhere) >= MIN_TOUCHES and np.median(everywhere) > MATCH_RADIUS
+    if elsewhere and away.max(initial=0.0) > MATCH_RADIUS:
         (x, y), (u, v) = 1e3 * np.array(pairs[int(away.argmax())])
         raise DataError(
             f"most of the known touches are found elsewhere, such as that at ({x:.0f}, {y:.0f}) mm "

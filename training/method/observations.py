@@ -123,7 +123,7 @@ def frame_noise(dataset: Dataset, observations: Observations) -> float:
             "a pipeline learns the noise from idle frames, and this dataset has none; record or "
             "generate some"
         )
-    return float(np.sqrt(np.nanmean(observations.dynamic[quiet] ** 2)))
+    return float(np.sqrt(np.nanmean(_squares_of_two(dataset, observations))))
 
 
 def _quiet(dataset: Dataset) -> NDArray[np.bool_]:
@@ -132,6 +132,13 @@ def _quiet(dataset: Dataset) -> NDArray[np.bool_]:
         (dataset.state == State.BEND) & dataset.has_touch_reference
     )
     return quiet
+
+
+def _squares_of_two(dataset: Dataset, observations: Observations) -> Array:
+    """Squares of the differences of quiet frames (n, C), as if no reference had averaged frames."""
+    averaged = np.where(dataset.has_touch_reference, observations.dynamic_frames, 1.0)
+    squares: Array = observations.dynamic**2 * (2.0 / (1.0 + 1.0 / averaged))[:, None]
+    return squares[_quiet(dataset)]
 
 
 def channel_noise(dataset: Dataset, observations: Observations) -> Array:
@@ -144,9 +151,9 @@ def channel_noise(dataset: Dataset, observations: Observations) -> Array:
     Raises DataError where the dataset has no such frames.
     """
     overall = frame_noise(dataset, observations)
-    quiet = observations.dynamic[_quiet(dataset)]
-    finite = np.isfinite(quiet)
-    total, count = np.sum(np.where(finite, quiet, 0.0) ** 2, axis=0), finite.sum(axis=0)
+    squares = _squares_of_two(dataset, observations)
+    finite = np.isfinite(squares)
+    total, count = np.sum(np.where(finite, squares, 0.0), axis=0), finite.sum(axis=0)
     usual = float(np.median((total / np.maximum(count, 1))[count > 0]))
     variance = (total + MEDIAN_FRAMES * usual) / (count + MEDIAN_FRAMES)
     noise: Array = np.sqrt(np.maximum(variance, (NOISE_FLOOR * overall) ** 2))

@@ -43,6 +43,17 @@ def test_noise_of_each_channel():
     assert (noise[:6] < 1e-3 * (noise[6:].min() + overall)).all()
 
 
+@pytest.mark.parametrize("averaged", [1, 16])
+def test_noise_is_that_of_two_frames_however_many_a_reference_averages(averaged):
+    rng, still = np.random.default_rng(1), np.full(8, 500.0)
+    means = still * (1.0 + TRUE * rng.normal(size=(4000, averaged, 8)).mean(axis=1))
+    recipe = f"reference_frames = {averaged}"
+    data = dataclasses.replace(idle(4000, TRUE), touch_reference=means, recipe=recipe)
+    overall = frame_noise(data, Observations.from_dataset(data))
+    assert found(data) == pytest.approx(np.sqrt(2.0) * TRUE, rel=0.1)
+    assert overall == pytest.approx(np.sqrt(2.0 * np.mean(TRUE**2)), rel=0.05)
+
+
 UNKNOWN = UNKNOWN_STATE
 
 
