@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.outline import Polygon, Rectangle
-from eitskin.geometry.design.sensor import Free, Plates, SensorDesign
-from eitskin.geometry.design.surface import Surface
+from eitskin.geometry.design.sensor import Plates, SensorDesign
 from eitskin.simulator.deformation.contact import ContactFrame
 from eitskin.simulator.deformation.dents import (
     BentPresses,
@@ -21,6 +20,7 @@ from eitskin.simulator.deformation.dents import (
     PlacedDent,
     TabulatedDent,
 )
+from eitskin.simulator.deformation.depth_search import TOLERANCE, DepthSearch
 from eitskin.simulator.deformation.field import Field
 from eitskin.simulator.deformation.node_sums import NodeSums
 from eitskin.simulator.deformation.outline_sides import corner_distance
@@ -69,10 +69,7 @@ _NOT_VALIDATED_AFTER_BEND = (
     "bent, rolled or twisted after the touch, with an unmeasured error; with the support "
     "'plates' and a clamp, without roll and twist, touch and bend are solved together"
 )
-# Search for dents to given depths: most dents tried, error of the depths, first dent where the base
-# gives way over the thickness of the stack, largest step, and least sinking over a dent's depth.
-_MOST_SEARCHED, _TOLERANCE, _SHALLOW = 10, 1e-3, 0.1
-_LARGEST_STEP, _LEAST_SUNK = math.log(4.0), -0.9
+_MOST_SEARCHED = 10  # dents tried in a search for given depths
 
 
 def dents(
@@ -182,7 +179,7 @@ def _solve_dents(
         if search.advance(np.array([each.depth for each in dented]), scene.sunk):
             return scene
     raise ConfigurationError(
-        f"no dents take these indenters to their depths within {_TOLERANCE:.1%}; press less deep, "
+        f"no dents take these indenters to their depths within {TOLERANCE:.1%}; press less deep, "
         "or prescribe forces"
     )
 
@@ -447,67 +444,3 @@ def uncompared_properties(indenter: AnyIndenter, sensor: PressedSensor) -> list[
     if (radius := indenter.rims[1]) < _MIN_RADIUS * (1.0 - _ALIKE):
         reasons.append(f"an indenter of {1e3 * radius:.2g} mm radius, smaller than measured")
     return reasons
-
-
-class DepthSearch:
-    """Search for dents whose depths, with what the finite stack sinks, are the prescribed ones.
-
-    Broyden's method (Broyden 1965) for the logarithms of the depths, since dents and sinking grow
-    nearly in proportion; for one touch it is the secant method. Over a gap the stack sinks much
-    more than a dent is deep, so that a fixed-point iteration would not converge.
-
-    Attributes:
-        depths: depths of the dents in the unbounded stack to try next [m]; NaN for prescribed
-            forces and for footprints, which have no dents.
-        is_needed: whether any depth is prescribed.
-    """
-
-    def __init__(self, touches: tuple[Touch, ...], design: SensorDesign) -> None:
-        bodies = [None if isinstance(t.indenter, Footprint) else t.depth for t in touches]
-        target_depths = [math.nan if depth is None else depth for depth in bodies]
-        self._wanted = np.array(target_depths)
-        self.depths = np.array(
-            [
-                min(depth, _SHALLOW * design.encapsulated_thickness)
-                if _gives_way(touch, design)
-                else depth
-                for touch, depth in zip(touches, target_depths, strict=True)
-            ]
-        )
-        self._given = np.isfinite(self.depths)
-        self.is_needed = bool(self._given.any())
-        self._jacobian = np.eye(int(self._given.sum()))
-        self._last: tuple[Array, Array] | None = None
-
-    def advance(self, dents: Array, sunk: Array) -> bool:
-        """Whether the wanted depths are met; otherwise `depths` are those to try next.
-
-        Args:
-            dents: present depths of the dents, which may have faded since their release [m].
-            sunk: length by which each indenter now sinks deeper than its dent [m].
-        """
-        part = np.divide(sunk, dents, out=np.zeros(len(dents)), where=dents > 0.0)[self._given]
-        tried = np.log(self.depths[self._given])
-        reached = tried + np.log1p(np.maximum(part, _LEAST_SUNK))
-        error = reached - np.log(self._wanted[self._given])
-        if np.all(np.abs(error) < _TOLERANCE):
-            return True
-        if self._last is not None:
-            step, change = tried - self._last[0], error - self._last[1]
-            self._jacobian += np.outer(change - self._jacobian @ step, step) / (step @ step)
-        self._last = tried, error
-        step = -np.linalg.lstsq(self._jacobian, error)[0]
-        step *= min(1.0, _LARGEST_STEP / np.abs(step).max())
-        self.depths[self._given] = np.exp(tried + step)
-        return False
-
-
-def _gives_way(touch: Touch, design: SensorDesign) -> bool:
-    """Whether the base under a touch is free, so that the stack may sink more than it is dented."""
-    if isinstance(design.support, Free):
-        return True
-    if not isinstance(design.support, Plates) or isinstance(design.outline, Surface):
-        return False
-    start, end = design.support.gap(design.outline)
-    beside = design.encapsulated_thickness
-    return start - beside < touch.x < end + beside
