@@ -42,8 +42,8 @@ LATENT = 12  # most latent variables q of a specimen
 SPECIMENS = 3  # to learn each of them from
 RELATIVE_ERROR = 0.05  # of the model, which weights frames together with their noise
 # Standard deviations of the first weights, of x, y, force and angle in units of the inputs. Changes
-# near the rim turn within millimetres; from layers that begin smooth they are learned ten times
-# more slowly (Rahaman et al. 2019).
+# near the rim turn within millimetres; from layers that begin smooth they are learned some four
+# times more slowly (Rahaman et al. 2019).
 FIRST_WEIGHTS = (4.0, 3.0, 0.5, 0.5)
 CELL = 0.005  # m, between cells
 PROPOSAL_HIDDEN = (512, 512, 512)
