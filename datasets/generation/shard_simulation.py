@@ -70,12 +70,12 @@ def simulate_frames(recipe: Recipe, indices: Iterable[int]) -> Dataset:
         later = None if frame_sample.after is None else without_touches(frame_sample.after)
         untouched = clean(frame_sample, without_touches(frame_sample.scene), later)
         rng = generator(recipe, Stream.NOISE, frame_sample.index)
-        held = recipe.touch_frames if frame_sample.scene.touches else 1
-        scenes = held * [touched] + recipe.reference_frames * [untouched]
+        count = recipe.touch_frames if frame_sample.scene.touches else 1
+        scenes = count * [touched] + recipe.reference_frames * [untouched]
         times = np.full(len(scenes), frame_sample.session_time)
         measured, status = session.measure(np.stack(scenes), times, rng)
-        means = measured[:held].mean(axis=0), measured[held:].mean(axis=0)
-        return np.stack(means), status[[0, held]]
+        means = measured[:count].mean(axis=0), measured[count:].mean(axis=0)
+        return np.stack(means), status[[0, count]]
 
     impedance, status = (np.array(part) for part in zip(*map(measure, samples), strict=True))
     held = ([touch for touch in each.scene.touches if not touch.released] for each in samples)

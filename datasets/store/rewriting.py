@@ -185,6 +185,12 @@ def _differences(one: Dataset, other: Dataset) -> Iterator[str]:
             f"its frequency is {other.frequency:g} Hz, expected {one.frequency:g} Hz (import with "
             f"--frequency {one.frequency:g} where the gel cannot distinguish the two)"
         )
+    if one.reference_frames != other.reference_frames:
+        yield (
+            f"its references are means of {other.reference_frames} frames, expected "
+            f"{one.reference_frames}, so that its noise would be misjudged (generate the simulated "
+            "ones with the same reference_frames in their recipes; recordings have 1)"
+        )
     if one.quantity and other.quantity and one.quantity != other.quantity:
         remedy = (
             "import voltages as impedances, with --scale 1/current"

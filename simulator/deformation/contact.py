@@ -95,8 +95,8 @@ class ContactFrame:
         along, normal = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (along, normal))
         rotations = np.stack([along, np.cross(normal, along), normal], axis=2)
         stretches = np.linalg.norm(F[..., :2], axis=1)
-        found = zip(places.tolist(), bent.positions(touched), rotations, stretches, strict=True)
-        return [cls(x, y, *others) for (x, y), *others in found]
+        parts = zip(places.tolist(), bent.positions(touched), rotations, stretches, strict=True)
+        return [cls(x, y, *others) for (x, y), *others in parts]
 
     @property
     def normal(self) -> Array:

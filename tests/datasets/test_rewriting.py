@@ -55,13 +55,14 @@ def test_numbers_of_averaged_frames_stay_where_all_sets_have_the_same(simulated,
         data = dataclasses.replace(make(12, specimens=2), recipe=recipe + f"# {place}\n")
         save_dataset(dataclasses.replace(data, seed=len(place)), tmp_path / place)
     combine([tmp_path / "first", tmp_path / "second"], tmp_path / "both")
-    combine([tmp_path / "first", simulated], tmp_path / "mixed")
     counts = {
         name: (data.reference_frames, data.touch_frames)
-        for name in ("first", "both", "mixed")
+        for name in ("first", "both")
         if (data := open_dataset(tmp_path / name))
     }
-    assert counts == {"first": (16, 8), "both": (16, 8), "mixed": (1, 1)}
+    assert counts == {"first": (16, 8), "both": (16, 8)}
+    with pytest.raises(DataError, match="means of 1 frames, expected 16"):
+        combine([tmp_path / "first", simulated], tmp_path / "mixed")
 
 
 def test_magnitudes_go_with_impedances_where_that_is_wanted(simulated, tmp_path):
