@@ -198,7 +198,8 @@ class ErrorScale:
     for sensors far from the middle of those that it was learned from.
 
     Attributes:
-        usual: square of the factor in the middle of the training specimens.
+        usual: square of the factor in the middle of the training specimens; one at least where it
+            is learned, as known touches are means of several frames, which noise disturbs less.
         strange: its growth with the mean square of a sensor's features, up to `STRANGEST`.
     """
 
@@ -225,14 +226,13 @@ class ErrorScale:
         if not len(ratio):
             return cls()
         columns = np.column_stack([np.ones(len(ratio)), _strangeness(features)[frame]])
-        # Keeps the scale of a sensor in the middle above zero.
         columns = np.concatenate([columns, np.tile([1.0, 0.0], (PRIOR_TOUCHES, 1))])
         ratio = np.concatenate([ratio, np.ones(PRIOR_TOUCHES)])
         fitted = np.full(len(ratio), np.mean(ratio))
         for _ in range(ROUNDS):
-            usual, strange = nnls(columns / fitted[:, None], ratio / fitted)[0].tolist()
-            fitted = columns @ [usual, strange]
-        return cls(usual, strange)
+            more, strange = nnls(columns / fitted[:, None], (ratio - 1.0) / fitted)[0].tolist()
+            fitted = 1.0 + columns @ [more, strange]
+        return cls(1.0 + more, strange)
 
     @classmethod
     def from_stored(cls, stored: NDArray[Any]) -> "ErrorScale":

@@ -177,7 +177,7 @@ def many(scale: ErrorScale, count: int = 4000):
 
 
 @pytest.mark.parametrize(
-    "scale", [ErrorScale(1.5, 0.5), ErrorScale(0.6, 0.0), ErrorScale(1.0, 3.0)]
+    "scale", [ErrorScale(1.5, 0.5), ErrorScale(1.0, 0.0), ErrorScale(1.0, 3.0)]
 )
 def test_the_scale_of_strange_sensors_is_found_again(scale):
     learned = ErrorScale.fit(*many(scale))
@@ -188,6 +188,12 @@ def test_the_scale_of_strange_sensors_is_found_again(scale):
     for features, square in (([0.5, 0.5], 0.25), ([3.0, 1.0], STRANGEST)):
         expected = np.sqrt(learned.usual + square * learned.strange)
         assert learned.evaluate(np.array(features)) == pytest.approx(expected)
+
+
+def test_standard_errors_are_never_scaled_below_those_of_the_noise_of_a_frame():
+    """Errors of means of several frames are small next to those of the frames to come."""
+    learned = ErrorScale.fit(*many(ErrorScale(0.3, 0.0)))
+    assert learned == ErrorScale(1.0, 0.0)
 
 
 SIZE, RADIUS = (0.150, 0.060), 0.0075
