@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 FAINT_GAIN = 12.0  # decrease of the misfit by a touch, which chance exceeds in 1 % of idle frames
 FLAT_DEVIATIONS, WIDE_DEG = 2.0, 4.0  # a bend below these, of a standard error above, may be none
-OUTSIDE_DEG = 3.0  # beyond the angles learned, from which a bend curve shows a larger bend
+OUTSIDE_DEG = 1.5  # beyond the angles learned, from which a bend curve shows a larger bend
 DECIDED = 2.0  # least difference of evidence from its threshold, where a fit decides on touches
 
 PRIOR_TOUCHES = 4  # touches with errors as stated, that count next to the known ones
@@ -69,15 +69,16 @@ def fit_problems(
     uncertain = bend.deviation_deg > max(WIDE_DEG, abs(bend.angle_deg) / FLAT_DEVIATIONS)
     if uncertain and np.nanargmax(chances) == State.BEND:
         problems.append("the sensor may be flat, as far as this frame shows: do not rely on a bend")
-    if bends is not None and _is_outside(bend, bends):
+    count = len(found.touches)
+    unexplained = misfit_sigma(found.misfit, found.degrees_of_freedom) >= TOUCHED_SIGMA[count]
+    if bends is not None and _is_outside(bend, bends, touches and unexplained):
         problems.append(
             f"the sensor may be bent beyond {bends[0]:.0f} to {bends[1]:.0f} deg, the angles "
             "learned: do not rely on its angle"
         )
     if not touches:
         return tuple(problems)
-    count = len(found.touches)
-    if misfit_sigma(found.misfit, found.degrees_of_freedom) >= TOUCHED_SIGMA[count]:
+    if unexplained:
         problems.append(
             f"no bend and up to {MAX_TOUCHES} touches explain this frame (misfit "
             f"{found.misfit:.0f}, expected about {found.degrees_of_freedom}): touches of another "
@@ -99,11 +100,15 @@ def fit_problems(
     return tuple(problems)
 
 
-def _is_outside(bend: AngleEstimate, bends: tuple[float, float]) -> bool:
-    """Whether a bend may be outside of the range of angles learned [deg], by curve and in all."""
+def _is_outside(bend: AngleEstimate, bends: tuple[float, float], unexplained: bool) -> bool:
+    """Whether a bend may be outside of the range of angles learned [deg].
+
+    It is near the end of the range, and beyond that by its curve alone, or nothing explains it.
+    """
     end, side = (bends[1], 1.0) if bend.angle_deg > 0.0 else (bends[0], -1.0)
     over, curve_over = side * (bend.angle_deg - end), side * (bend.from_flat[0] - end)
-    return curve_over > OUTSIDE_DEG and over > -FLAT_DEVIATIONS * bend.deviation_deg
+    near = over > -FLAT_DEVIATIONS * bend.deviation_deg
+    return near and (unexplained or curve_over > OUTSIDE_DEG)
 
 
 def calibration_problems(

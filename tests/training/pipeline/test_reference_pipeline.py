@@ -55,7 +55,7 @@ def assert_touched(said, *places):
 
 
 def test_the_response_learned_is_that_of_the_simulator_without_noise(simulator):
-    """Within 11 % of the change by single touches near and far from the rim, flat and bent."""
+    """Within 7 % of the change by single touches near and far from the rim, flat and bent."""
     method = Pipeline.load("reference.eitmodel").method
     touches = np.random.default_rng(4).uniform((0.012, 0.012, 4.0), (0.138, 0.048, 11.0), (20, 3))
     errors = []
@@ -65,7 +65,7 @@ def test_the_response_learned_is_that_of_the_simulator_without_noise(simulator):
         change, flat = np.log(values[2:] / values[1]), values[0]
         learned = method.specimen_response(flat)(touches, bend.angle_deg)
         errors.append(np.linalg.norm(learned - change, axis=1) / np.linalg.norm(change, axis=1))
-    assert np.sqrt(np.mean(np.square(errors), axis=1)).max() < 0.11
+    assert np.sqrt(np.mean(np.square(errors), axis=1)).max() < 0.07
 
 
 def test_bent_sensors_are_told_where_touched_and_capacitances_by_phases(session):
@@ -87,11 +87,15 @@ def test_bent_sensors_are_told_where_touched_and_capacitances_by_phases(session)
         assert any("a capacitance" in each for each in said.problems) == told
 
 
-@pytest.mark.parametrize(("angle_deg", "outside"), [(48.0, False), (70.0, True), (-32.0, True)])
-def test_a_bend_beyond_those_learned_is_reported(session, angle_deg, outside):
+@pytest.mark.parametrize(
+    ("angle_deg", "problem"),
+    [(48.0, ""), *((angle, "-20 to 50 deg") for angle in (-32.0, 60.0, 65.0)), (80.0, "do not")],
+)
+def test_a_bend_beyond_those_learned_is_reported(session, angle_deg, problem):
     for share in (0.3, 0.6, 1.0, 1.0):
         said = session(Scene(Bend(share * angle_deg)))
-    assert any("-20 to 50 deg" in problem for problem in said.problems) == outside
+    assert problem in " ".join(said.problems)
+    assert bool(said.problems) == bool(problem)
 
 
 @pytest.mark.parametrize("change", [{"session": 1}, {"number": 0, "time": 0.0}])
