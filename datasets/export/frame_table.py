@@ -83,7 +83,7 @@ def columns(data: Dataset) -> Iterator[Column]:
     yield Column("state", "text", 0, "1", "idle, touch or bend; null where unknown")
     yield Column("bend_angle_deg", "float32", 0, "degree", "bend; null where unknown")
     yield Column("touches", "touches", 0, "SI", f"{_TOUCH_TEXT}; null where unknown")
-    for name in CLAMP_FIELDS:
+    for name in (*CLAMP_FIELDS, "support_gap"):
         yield Column(name, "float32", 0, "m" if name in _LENGTHS else "1", descriptions[name])
     for name in ("impedance", "touch_reference", "reference"):
         for part in ("real", "imag"):

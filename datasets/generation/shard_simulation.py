@@ -21,7 +21,7 @@ from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import CLAMP_FIELDS
 from eitskin.datasets.store.writer import touch_columns
 from eitskin.geometry.deformation.fixtures import Clamp
-from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.sensor import Plates, SensorDesign, Support
 from eitskin.protocol import Protocol
 from eitskin.simulator.bends.bend_table import on_support
 from eitskin.simulator.deformation.pressed_sensor import TouchModel
@@ -92,6 +92,7 @@ def simulate_frames(recipe: Recipe, indices: Iterable[int]) -> Dataset:
         bend_angle_deg=np.array([each.scene.bend.angle_deg for each in samples]),
         **{name: np.array([row[name] for row in touches]) for name in touches[0]},
         **dict(zip(CLAMP_FIELDS, np.array(clamps).T, strict=True)),
+        support_gap=np.array([_gap(each.scene, recipe.sensor.support) for each in samples]),
         time=np.array([each.time for each in samples]),
         episode=np.array([each.episode for each in samples]),
         number=np.array([each.index for each in samples]),
@@ -113,6 +114,12 @@ def _clamp(scene: Scene, drawn_specimen: Specimen) -> tuple[float, float, float,
     laws = drawn_specimen.mechanics
     stiffness = laws.encapsulation.shear_modulus / laws.gel.shear_modulus
     return clamp.span, clamp.offset, 1.0 if clamp.faces == "bottom" else 2.0, stiffness
+
+
+def _gap(scene: Scene, support: Support) -> float:
+    """Gap [m] between the plates that carry the sensor of a scene; 0 on a base."""
+    carrying = scene.support or support
+    return carrying.span if isinstance(carrying, Plates) else 0.0
 
 
 def _board(

@@ -61,6 +61,8 @@ class Dataset:
             the mid-plane, (n,) float32 [m]; as the next two NaN where unknown, and when omitted.
         clamp_faces: number of the faces that its plates hold, (n,) float32.
         clamp_stiffness: shear modulus of the encapsulation over that of the layer, (n,) float32.
+        support_gap: gap between the plates that carry the sensor, 0 on a base, (n,) float32 [m];
+            NaN where unknown.
         time: since the episode's start, (n,) float64 [s].
         status: `eitskin.simulator.Status` bits, (n, C) uint8.
         episode: number of the episode, whose frames follow each other in time, (n,) uint32.
@@ -100,6 +102,7 @@ class Dataset:
     clamp_offset: NDArray[np.float32] = _NO_VALUE
     clamp_faces: NDArray[np.float32] = _NO_VALUE
     clamp_stiffness: NDArray[np.float32] = _NO_VALUE
+    support_gap: NDArray[np.float32] = _NO_VALUE
     time: NDArray[np.float64] = _NO_VALUE
     status: NDArray[np.uint8] = _NO_VALUE
     episode: NDArray[np.uint32] = _NO_VALUE

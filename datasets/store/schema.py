@@ -98,6 +98,7 @@ _SPAN: Final = "free length between the plates of the clamp; NaN where unknown"
 _OFFSET: Final = "axis of the clamp below the mid-plane of the layer; NaN where unknown"
 _FACES: Final = "faces held by the plates of the clamp, 1 or 2; NaN where unknown"
 _STIFFNESS: Final = "shear modulus of the encapsulation over that of the layer; NaN where unknown"
+_GAP: Final = "gap between the plates that carry the sensor, 0 on a base; NaN where unknown"
 _NUMBER: Final = "number of the specimen within the dataset, rising"
 _RADIUS: Final = "radius of the indenter; NaN where absent or unknown"
 _FORCE: Final = "force of a touch; NaN where absent or unknown"
@@ -120,6 +121,7 @@ FIELDS: Final = (
     _field("clamp_offset", "<f4", "frame", "m", _OFFSET, since=None),
     _field("clamp_faces", "<f4", "frame", "1", _FACES, since=None),
     _field("clamp_stiffness", "<f4", "frame", "1", _STIFFNESS, since=None),
+    _field("support_gap", "<f4", "frame", "m", _GAP, since=None),
     _field("time", "<f8", "frame", "s", "since the episode began"),
     _field("status", "|u1", "frame channel", "1", "status bits of the board, 0 is good"),
     _field("episode", "<u4", "frame", "1", "frames of one episode follow each other in time"),
@@ -132,7 +134,7 @@ FRAME_FIELDS: Final = tuple(field for field in FIELDS if field.axes[0] == "frame
 MAX_MAGNITUDES: Final = {
     **dict.fromkeys(("impedance", "touch_reference", "reference"), LARGEST_READING),
     **dict.fromkeys(("touch_x", "touch_y", "touch_radius", "touch_depth"), LONGEST),
-    **dict.fromkeys(("clamp_span", "clamp_offset"), LONGEST),
+    **dict.fromkeys(("clamp_span", "clamp_offset", "support_gap"), LONGEST),
     "bend_angle_deg": 720.0,
     "touch_force": 1e6,
     "clamp_stiffness": MOST,
@@ -164,6 +166,7 @@ _POSSIBLE_CLAMPS: Final[dict[str, tuple[Callable[[NDArray[Any]], NDArray[np.bool
     "clamp_offset": (np.isfinite, "a length in m"),
     "clamp_faces": (lambda values: np.isin(values, (1, 2)), "1 or 2"),
     "clamp_stiffness": (_is_positive, "a positive ratio of moduli"),
+    "support_gap": (lambda values: np.isfinite(values) & (values >= 0), "a length in m, or 0"),
 }
 
 

@@ -114,6 +114,7 @@ CALLS = {
         (changed(clamp_offset=np.full(40, -np.inf)), "clamp_offset must be .* got -inf"),
         (changed(clamp_faces=np.full(40, 3.0)), "clamp_faces must be .* got 3"),
         (changed(clamp_stiffness=np.full(40, -1.4)), "clamp_stiffness must be .* got -1.4"),
+        (changed(support_gap=np.full(40, -0.04)), "support_gap must be .* got -0.04"),
         *((twice(name), f"{name} must be at most .* in another unit") for name in MAX_MAGNITUDES),
         (lambda: touch_maps([[0.05]], [[0.02]], [[math.nan]]), "radius"),
     ],

@@ -295,7 +295,7 @@ def test_frames_say_the_clamp_of_their_specimen():
     assert np.array_equal(data.clamp_stiffness, np.float32(ratios))
 
 
-@pytest.mark.parametrize(("changes", "faces"), [({"support": Plates()}, 1), ({}, np.nan)])
+@pytest.mark.parametrize(("changes", "faces"), [({"support": Plates(0.030)}, 1), ({}, np.nan)])
 def test_plates_under_a_clamped_sensor_hold_its_lower_face_and_hinges_none(changes, faces):
     """Sensors on plates are clamped here, others hinged."""
     group = SceneGroup("idle", count=1, **changes)
@@ -304,6 +304,7 @@ def test_plates_under_a_clamped_sensor_hold_its_lower_face_and_hinges_none(chang
     data = simulate_frames(recipe, range(1))
     np.testing.assert_equal(float(data.clamp_faces[0]), faces)
     np.testing.assert_equal(np.isnan(data.clamp_span), np.isnan(data.clamp_faces))
+    assert data.support_gap[0] == np.float32(0.030 if changes else 0.0)
 
 
 # Boards of specimens: loads that differ as asked for, in frames and references of each

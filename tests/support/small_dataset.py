@@ -28,6 +28,7 @@ def make(n=40, specimens=2, **changes):
         "clamp_offset": np.full(n, 0.008),
         "clamp_faces": np.full(n, 2.0),
         "clamp_stiffness": np.full(n, 1.4),
+        "support_gap": np.full(n, 0.04),
         "time": np.arange(n) * 0.1,
         "status": rng.integers(0, 64, (n, 28)),
         "episode": np.arange(n) // 10,

@@ -266,13 +266,13 @@ def _relative_residual(
 
 
 def require_plausible(
-    touched: KnownFrames, found: Sequence[FoundTouches], force: float | None
+    touched: KnownFrames, estimates: Sequence[FoundTouches], force: float | None
 ) -> None:
     """Refuse known touches in other units, or of which most are found elsewhere or not at all.
 
     Args:
         touched: frames with known touches.
-        found: touches that the adapted method finds in each.
+        estimates: touches that the adapted method finds in each.
         force: usual force [N]; None where forces do not count.
     """
     forces = touched.touches[np.isfinite(touched.touches[..., 2]), 2]
@@ -283,11 +283,11 @@ def require_plausible(
     single = np.isfinite(touched.touches[..., 0]).sum(axis=1) == 1
     pairs = [
         (place, min(estimate.place, key=lambda other: math.dist(place, other)))
-        for known, estimate, one in zip(touched.touches, found, single, strict=True)
+        for known, estimate, one in zip(touched.touches, estimates, single, strict=True)
         if one and len(estimate)
         for place in known[np.isfinite(known[:, 0]), :2]
     ]
-    missed = sum(not len(estimate) for estimate, one in zip(found, single, strict=True) if one)
+    missed = sum(not len(estimate) for estimate, one in zip(estimates, single, strict=True) if one)
     away = np.array([math.dist(*pair) for pair in pairs])
     everywhere = np.append(away, np.full(missed, np.inf))
     elsewhere = len(everywhere) >= MIN_TOUCHES and np.median(everywhere) > MATCH_RADIUS
@@ -357,6 +357,23 @@ def response_given(
     growth = max(share * float(left @ left) / max(size, 1), 1.0)
     spread = strength * np.linalg.cholesky(growth * np.linalg.inv(information)[1:, 1:])
     return own_response(prior, response.output, np.tensordot(spread.T, latent, axes=1))
+
+
+def likeliest_response(
+    priors: Sequence[SpecimenResponse],
+    touched: KnownFrames,
+    combined: Combined,
+    touches: TouchPrior,
+    forces: bool,
+) -> tuple[int, SpecimenResponse]:
+    """Response given known touches that comes closest to them, and the number of the one before.
+
+    The other arguments are those of `response_given`.
+    """
+    given = [response_given(each, touched, combined, touches, forces) for each in priors]
+    combinations = combined(np.zeros(touched.observations.flat.shape[1]), 1.0, 0.0).combinations
+    left = [_relative_residual(each, touched, combinations) for each in given]
+    return int(np.argmin(left)), given[int(np.argmin(left))]
 
 
 def _group_held_touches(touched: KnownFrames) -> list[NDArray[np.intp]]:

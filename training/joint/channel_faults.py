@@ -197,20 +197,20 @@ class PossibleFaults:
         return self.faults[best], float(gain[best])
 
     def most_likely(
-        self, found: MapEstimate, replaced: int | None = None
+        self, estimate: MapEstimate, replaced: int | None = None
     ) -> tuple[ChannelFault, float]:
         """The fault that explains most of what an estimate leaves, and its decrease of the misfit.
 
         Or in place of one touch, `replaced`, the others unchanged.
         """
-        residual, jacobian = found.white[0], found.white[1:].T
+        residual, jacobian = estimate.white[0], estimate.white[1:].T
         if replaced is not None:
-            residual = residual + found.whitening @ found.at.changes[replaced]
+            residual = residual + estimate.whitening @ estimate.at.changes[replaced]
             jacobian = np.delete(jacobian, slice(1 + 3 * replaced, 4 + 3 * replaced), axis=1)
-        scale = found.objective.remainder_scale(found.at)
-        residual = np.concatenate([residual, found.whole[0]])
-        combined = found.objective.combined
-        return self.likeliest(combined, found.whitening, scale, residual, jacobian)
+        scale = estimate.objective.remainder_scale(estimate.at)
+        residual = np.concatenate([residual, estimate.whole[0]])
+        combined = estimate.objective.combined
+        return self.likeliest(combined, estimate.whitening, scale, residual, jacobian)
 
 
 def possible_faults(protocol: Protocol, flat: Array) -> PossibleFaults:
@@ -238,14 +238,14 @@ def possible_faults(protocol: Protocol, flat: Array) -> PossibleFaults:
 
 
 def gross_fault(
-    untouched: MapEstimate, found: MapEstimate, possible: PossibleFaults
+    untouched: MapEstimate, estimate: MapEstimate, possible: PossibleFaults
 ) -> ChannelFault | None:
     """The fault that most of a frame's change is by, which hides touches; None if there is none.
 
-    Where `found` explains the frame, or the measurements that are left would be too few.
+    Where `estimate` explains the frame, or the measurements that are left would be too few.
     """
     _, misfit, degrees_of_freedom = untouched.whole
-    if found.whole_sigma < SUSPICIOUS_SIGMA:
+    if estimate.whole_sigma < SUSPICIOUS_SIGMA:
         return None
     fault, gain = possible.most_likely(untouched)
     left = untouched.objective.combined.count - len(fault.members)
@@ -255,27 +255,27 @@ def gross_fault(
 
 
 def fit_with_fault(
-    untouched: MapEstimate, found: MapEstimate, possible: PossibleFaults
+    untouched: MapEstimate, estimate: MapEstimate, possible: PossibleFaults
 ) -> tuple[ChannelFault, MapEstimate] | None:
-    """One fault and the estimate without its measurements; None where `found` fits better.
+    """One fault and the estimate without its measurements; None where `estimate` fits better.
 
     The fault takes the place of touches, or is next to all of them; `untouched` has none.
     """
-    touches = len(found.at.touches)
-    for alternative in _alternatives(untouched, found, possible):
+    touches = len(estimate.at.touches)
+    for alternative in _alternatives(untouched, estimate, possible):
         _, misfit, degrees_of_freedom = alternative.whole
         fault, gain = possible.most_likely(alternative)
         if gain < FAULT_THRESHOLD:
             continue
-        if alternative is found:
+        if alternative is estimate:
             likely = gain > MIN_SHARE * (misfit - degrees_of_freedom)
         else:
             # A touch has three unknowns, a fault one: the fault may fit a little worse.
             allowance = 3 * (touches - len(alternative.at.touches)) + ALLOWANCE
             sigma = misfit_sigma(misfit - gain, degrees_of_freedom - 1)
-            likely = misfit - gain <= found.whole[1] + allowance and sigma <= ACCEPTED_SIGMA
-        combined = found.objective.combined.drop(fault.members)
-        fewer = replace(found.objective, combined=combined)
+            likely = misfit - gain <= estimate.whole[1] + allowance and sigma <= ACCEPTED_SIGMA
+        combined = estimate.objective.combined.drop(fault.members)
+        fewer = replace(estimate.objective, combined=combined)
         if not likely or combined.count < len(combined.good) // 2:
             continue
         again = prune(levenberg_marquardt(fewer, alternative.unknowns, STEPS, TOLERANCE))
@@ -285,20 +285,20 @@ def fit_with_fault(
 
 
 def _alternatives(
-    untouched: MapEstimate, found: MapEstimate, possible: PossibleFaults
+    untouched: MapEstimate, estimate: MapEstimate, possible: PossibleFaults
 ) -> Iterator[MapEstimate]:
     """Estimates to which a fault may be added, the simplest first.
 
     No touch; one touch less; all touches, where their misfit is suspicious.
     """
-    touches = len(found.at.touches)
+    touches = len(estimate.at.touches)
     if touches or untouched.whole_sigma > SUSPICIOUS_SIGMA:
         yield untouched
     if touches > 1:
-        gains = found.gains
+        gains = estimate.gains
         for i in np.argsort(gains)[:2].tolist():
-            if possible.most_likely(found, i)[1] > MIN_SHARE * gains[i]:
-                others = found.unknowns.without_touch(i)
-                yield levenberg_marquardt(found.objective, others, STEPS, TOLERANCE)
-    if touches and found.whole_sigma > SUSPICIOUS_SIGMA:
-        yield found
+            if possible.most_likely(estimate, i)[1] > MIN_SHARE * gains[i]:
+                others = estimate.unknowns.without_touch(i)
+                yield levenberg_marquardt(estimate.objective, others, STEPS, TOLERANCE)
+    if touches and estimate.whole_sigma > SUSPICIOUS_SIGMA:
+        yield estimate

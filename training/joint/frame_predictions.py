@@ -36,7 +36,7 @@ BLUR = 9.0  # standard errors beyond which 1 - Phi is one to the last digit
 
 
 def fit_problems(
-    found: FrameFit,
+    fit: FrameFit,
     bend: AngleEstimate,
     bends: tuple[float, float] | None,
     touches: bool,
@@ -48,15 +48,15 @@ def fit_problems(
     arguments are those of `state_probabilities`.
     """
     problems = [
-        f"{fault.name} and was left out: look at its contact and wire" for fault in found.faults
+        f"{fault.name} and was left out: look at its contact and wire" for fault in fit.faults
     ]
     problems += [
         f"{fault.name} since the session began and was left out of the angle: begin a new "
         "session with the flat sensor"
         for fault in bend.faults
     ]
-    if rival := found.rival or (bend.rival if not len(found.touches) else ""):
-        other = "there are touches" if found.rival else "the sensor is bent"
+    if rival := fit.rival or (bend.rival if not len(fit.touches) else ""):
+        other = "there are touches" if fit.rival else "the sensor is bent"
         problems.append(
             f"{rival}, or {other}, both of which explain this frame: do not rely "
             "on it, and look at contacts and wires"
@@ -69,8 +69,8 @@ def fit_problems(
     uncertain = bend.deviation_deg > max(WIDE_DEG, abs(bend.angle_deg) / FLAT_DEVIATIONS)
     if uncertain and np.nanargmax(chances) == State.BEND:
         problems.append("the sensor may be flat, as far as this frame shows: do not rely on a bend")
-    count = len(found.touches)
-    unexplained = misfit_sigma(found.misfit, found.degrees_of_freedom) >= TOUCHED_SIGMA[count]
+    count = len(fit.touches)
+    unexplained = misfit_sigma(fit.misfit, fit.degrees_of_freedom) >= TOUCHED_SIGMA[count]
     if bends is not None and _is_outside(bend, bends, touches and unexplained):
         problems.append(
             f"the sensor may be bent beyond {bends[0]:.0f} to {bends[1]:.0f} deg, the angles "
@@ -81,18 +81,17 @@ def fit_problems(
     if unexplained:
         problems.append(
             f"no bend and up to {MAX_TOUCHES} touches explain this frame (misfit "
-            f"{found.misfit:.0f}, expected about {found.degrees_of_freedom}): touches of another "
+            f"{fit.misfit:.0f}, expected about {fit.degrees_of_freedom}): touches of another "
             "kind, a bad contact, or a reference that is out of date; do not rely on its touches"
         )
-    elif not count and found.faint > FAINT_GAIN:
+    elif not count and fit.faint > FAINT_GAIN:
         problems.append("something may touch, too faintly to distinguish from noise in this frame")
     elif count and (
-        found.wide
-        or np.sum(pdist(found.touches[:, :2]) < found.estimate.objective.prior.separation) > 1
+        fit.wide or np.sum(pdist(fit.touches[:, :2]) < fit.estimate.objective.prior.separation) > 1
     ):
-        middle = found.wide.centre if found.wide else found.touches[:, :2].mean(axis=0)
+        middle = fit.wide.centre if fit.wide else fit.touches[:, :2].mean(axis=0)
         x, y = 1e3 * middle
-        size = f" of {1e3 * found.wide.length:.0f} mm" if found.wide else ""
+        size = f" of {1e3 * fit.wide.length:.0f} mm" if fit.wide else ""
         problems.append(
             f"more than {count} touches may explain this frame better, or a large contact{size} "
             f"about ({x:.0f}, {y:.0f}) mm: do not rely on their number and places"
@@ -133,7 +132,7 @@ def calibration_problems(
 
 
 def state_probabilities(
-    found: FrameFit, bend: AngleEstimate, bends: tuple[float, float] | None, touches: bool
+    fit: FrameFit, bend: AngleEstimate, bends: tuple[float, float] | None, touches: bool
 ) -> Array:
     """Probabilities of idle, touch and bend (3,); NaN for touch or bend where not learned.
 
@@ -142,14 +141,14 @@ def state_probabilities(
     zero exactly, where there is one.
 
     Args:
-        found: fit of the frame.
+        fit: fit of the frame.
         bend: angle of the sensor, if it is untouched.
         bends: range of the angles learned [deg]; None where no bend was learned.
         touches: whether touches were learned.
     """
     # A rejected touch must not make touch the most probable state, nor one that stayed another.
-    limits = (DECIDED, 60.0) if len(found.touches) else (-60.0, -DECIDED)
-    touched = 1.0 / (1.0 + np.exp(-0.5 * np.clip(found.evidence - TOUCH_THRESHOLD, *limits)))
+    limits = (DECIDED, 60.0) if len(fit.touches) else (-60.0, -DECIDED)
+    touched = 1.0 / (1.0 + np.exp(-0.5 * np.clip(fit.evidence - TOUCH_THRESHOLD, *limits)))
     if bends is None:
         return np.array([1 - touched, touched, np.nan])
     angle_deg, deviation_deg = bend.from_flat
@@ -212,7 +211,9 @@ class ErrorScale:
     strange: float = 0.0
 
     @classmethod
-    def fit(cls, touches: Array, found: Sequence[FoundTouches], features: Array) -> "ErrorScale":
+    def fit(
+        cls, touches: Array, estimates: Sequence[FoundTouches], features: Array
+    ) -> "ErrorScale":
         """Learn from the errors of known touches of many sensors.
 
         The squares of error over standard error are fitted by iterated least squares, in the metric
@@ -221,10 +222,10 @@ class ErrorScale:
 
         Args:
             touches: x [m] and y [m] of n frames (n, k, 2 or more); NaN where absent.
-            found: touches of each frame, with standard errors that are not scaled.
+            estimates: touches of each frame, with standard errors that are not scaled.
             features: features of the sensor of each frame (n, P).
         """
-        pairs = zip(touches, found, strict=True)
+        pairs = zip(touches, estimates, strict=True)
         squares = [_squares(true_places, estimates) for true_places, estimates in pairs]
         frame = np.repeat(np.arange(len(squares)), [len(square) for square in squares])
         ratio = np.concatenate([np.zeros(0), *squares])
@@ -252,7 +253,7 @@ class ErrorScale:
         return float(np.sqrt(self.usual + self.strange * _strangeness(features)))
 
 
-def own_error_scale(touches: Array, found: Sequence[FoundTouches]) -> float:
+def own_error_scale(touches: Array, estimates: Sequence[FoundTouches]) -> float:
     """Factor of the standard errors of places on one sensor, from the errors of known touches.
 
     Root mean square of error over stated standard error of the touches that were found; a few
@@ -260,9 +261,9 @@ def own_error_scale(touches: Array, found: Sequence[FoundTouches]) -> float:
 
     Args:
         touches: x [m] and y [m] of those known, and more (n, k, 2 or more); NaN where absent.
-        found: touches of each frame, with standard errors before.
+        estimates: touches of each frame, with standard errors before.
     """
-    pairs = zip(touches, found, strict=True)
+    pairs = zip(touches, estimates, strict=True)
     squares = np.concatenate([np.zeros(0), *(_squares(places, said) for places, said in pairs)])
     total = PRIOR_TOUCHES + float(squares.sum())
     return float(np.sqrt(total / (PRIOR_TOUCHES + len(squares))))

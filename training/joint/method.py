@@ -15,11 +15,11 @@ from eitskin.simulator.instrument.drift import DRIFT_TIME
 from eitskin.threads import one_thread
 from eitskin.training.joint.adaptation import (
     adapted_curve,
+    likeliest_response,
     noise_scale,
     own_output,
     own_response,
     require_plausible,
-    response_given,
     twin_trial,
 )
 from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior
@@ -44,10 +44,10 @@ from eitskin.training.joint.networks import AngleNetworks, ProposalNetwork, netw
 from eitskin.training.joint.objective import TOUCH_THRESHOLD, TouchObjective
 from eitskin.training.joint.specimen_model import (
     LOG_ODDS,
+    MOVED_DEG,
     RIVAL,
     AngleEstimate,
     SpecimenModel,
-    candidate_rows,
 )
 from eitskin.training.joint.touch_response import SpecimenResponse, TouchPrior, TouchResponse
 from eitskin.training.joint.training import fit_joint, held_out_touches
@@ -71,8 +71,8 @@ from eitskin.training.method.targets import Targets, TrainingFrames
 Array = NDArray[np.float64]
 
 NETWORKS = ("response", "proposals", "angles")  # parts whose learning curves are stored
+OTHER_ODDS = -2.0  # logarithm of the odds of the other response, before a frame is seen
 FURTHER_DEG = 15.0  # to a second direction of bends, which has their curvature
-MOVED_DEG = 1.0  # by which a fit must differ from its flat reference to need a second one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,6 +108,7 @@ class JointMethod(Method):
         angle_features: angle features of a specimen, which the networks are given; None where those
             are `features`.
         usual: bend curves of the clamp that most sensors have, if training found one.
+        other_response: another response that a sensor may have, as to touches on plates.
         forces: whether touches have forces; else these are strengths, relative to the usual touch.
         error_scale: factor of the standard errors of places, from training specimens that the
             response was learned without.
@@ -144,6 +145,7 @@ class JointMethod(Method):
     angles: AngleNetworks | None = None
     angle_features: SpecimenFeatures | None = None
     usual: BendCurvePrior | None = None
+    other_response: TouchResponse | None = None
     forces: bool = True
     error_scale: Annotated[ErrorScale, GIVEN_FIELD] = field(default_factory=ErrorScale)
     own_error_scale: float = 1.0
@@ -151,12 +153,6 @@ class JointMethod(Method):
     own_output: Array | None = None
     own_latent: Array | None = None
     _specimens: dict[bytes, SpecimenModel] = field(default_factory=dict, init=False, repr=False)
-    _rows: Mapping[int, Array] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        """Evaluate the response network at the candidate positions."""
-        rows = candidate_rows(self.response, self.places, self.bend_prior.angle_deg)
-        object.__setattr__(self, "_rows", rows)
 
     @classmethod
     @one_thread()  # sums, and so the bytes of a pipeline, depend on their number
@@ -199,8 +195,8 @@ class JointMethod(Method):
             return Predictions.concatenate([self._predict(frame) for frame in frames])
 
     def motions(self, observations: Observations, predictions: Predictions) -> Array:
-        found, angle = predictions.touches[0], float(np.nan_to_num(predictions.bend_angle_deg[0]))
-        touches = np.column_stack([found.place, found.force if self.forces else found.strength])
+        last, angle = predictions.touches[0], float(np.nan_to_num(predictions.bend_angle_deg[0]))
+        touches = np.column_stack([last.place, last.force if self.forces else last.strength])
         specimen = self._specimen(observations.flat[0])
         changes = specimen.response.with_derivatives(np.ascontiguousarray(touches), angle)[1:]
         changes[2] *= touches[:, 2:]
@@ -227,7 +223,7 @@ class JointMethod(Method):
             reference = specimen.angle(self._project_change(static - dynamic, shares, apart))
         change = self._project_change(dynamic, share + dynamic_share, frame.dynamic_age[0])
 
-        frame_fit = self._fit_frame(change, reference, specimen)
+        frame_fit = self._fit_likelier(change, reference, specimen)
         static[[member for fault in frame_fit.faults for member in fault.members]] = np.nan
         if len(frame_fit.touches) and not frame_fit.faults:
             turn = MOVED_DEG * frame_fit.estimate.objective.curve.slope(reference.angle_deg)
@@ -238,51 +234,39 @@ class JointMethod(Method):
                 static -= change.measured - faulty.rest.measured
             elif faulty:
                 frame_fit.rival = faulty.names
+        touched, angle_deg = len(frame_fit.touches), frame_fit.angle_deg
         if not bends:
             bend = AngleEstimate(np.nan, np.nan, 0.0)
-        elif len(frame_fit.touches) and self._bends_in_frame(frame_fit, reference, specimen):
-            seen = specimen.angle(self._without_touches(change, frame_fit, specimen))
+        elif touched and not frame_fit.faults and specimen.bends_since(reference, angle_deg):
+            seen = specimen.angle(frame_fit.take_touches_out(change))
             bend = replace(reference, angle_deg=seen.angle_deg, deviation_deg=seen.deviation_deg)
-        elif len(frame_fit.touches):
+        elif touched:
             deviation = float(np.hypot(frame_fit.angle_deviation_deg, reference.deviation_deg))
-            bend = replace(reference, angle_deg=frame_fit.angle_deg, deviation_deg=deviation)
+            bend = replace(reference, angle_deg=angle_deg, deviation_deg=deviation)
         else:
             change_seen = self._project_change(static, share + static_share, frame.age[0])
-            moved = frame_fit.angle_deg - reference.angle_deg
+            moved = angle_deg - reference.angle_deg
             if abs(moved) > STILL_DEG:
                 # The first and the last of a frame's measurements see different angles. The speed
                 # is unknown; the motion since the previous frame bounds it.
-                slope = frame_fit.estimate.objective.curve.slope(frame_fit.angle_deg)
+                slope = frame_fit.estimate.objective.curve.slope(angle_deg)
                 late = moved * (self.combinations.lateness @ slope)
                 change_seen = replace(change_seen, further=np.outer(late, late))
             bend = specimen.angle(change_seen)
         return self._prediction(frame_fit, bend, specimen)
 
-    @staticmethod
-    def _bends_in_frame(fit: FrameFit, reference: AngleEstimate, specimen: SpecimenModel) -> bool:
-        """Whether a touched frame alone shows how a sensor, flat before, bends."""
-        return (
-            specimen.usual is not None
-            and not fit.faults
-            and reference.angle_deg == 0.0
-            and (abs(fit.angle_deg) >= MOVED_DEG)
-        )
-
-    def _without_touches(
-        self, change: CombinedChange, fit: FrameFit, specimen: SpecimenModel
-    ) -> CombinedChange:
-        """The change less that by the touches of its fit, whose errors count as noise."""
-        touches = np.ascontiguousarray(fit.touches)
-        by_touches, *slopes = specimen.response.with_derivatives(touches, fit.angle_deg)
-        further = np.einsum("iak,aij,jal->kl", slopes, fit.covariance, slopes, optimize=True)
-        rest = change.measured - by_touches.sum(axis=0) @ self.combinations.back
-        return replace(change, measured=np.where(change.good, rest, 0.0), further=further)
+    def _fit_likelier(
+        self, change: CombinedChange, reference: AngleEstimate, specimen: SpecimenModel
+    ) -> FrameFit:
+        """The fit to one frame by the response or, where that is likelier, by the other one."""
+        usual = self._fit_frame(change, reference, specimen)
+        if specimen.other is None or not usual.may_be_touched:
+            return usual
+        other = self._fit_frame(change, reference, specimen.other)
+        return other if usual.improbability - other.improbability > -2.0 * OTHER_ODDS else usual
 
     def _fit_frame(
-        self,
-        change: CombinedChange,
-        reference: AngleEstimate,
-        specimen: SpecimenModel,
+        self, change: CombinedChange, reference: AngleEstimate, specimen: SpecimenModel
     ) -> FrameFit:
         """The fit to one frame, with the bend curve that the reference shows or the frame itself.
 
@@ -294,7 +278,7 @@ class JointMethod(Method):
             deviation = np.sqrt(2.0) * self.combinations.unit
             inputs = network_inputs(change.change, deviation, angle_deg, specimen.features)
             proposed = self.proposals.places(inputs, self.touch_prior.separation)
-        candidates = specimen.candidates(angle_deg, self.places, self._rows)
+        candidates = specimen.candidates(angle_deg, self.places)
 
         def fit(curve: BendCurve) -> FrameFit:
             parts = (specimen.response, curve, self.touch_prior)
@@ -313,28 +297,28 @@ class JointMethod(Method):
         return usual if gain > -2.0 * LOG_ODDS else frame_fit
 
     def _prediction(
-        self, found: FrameFit, bend: AngleEstimate, specimen: SpecimenModel
+        self, fit: FrameFit, bend: AngleEstimate, specimen: SpecimenModel
     ) -> Predictions:
         """One frame's predictions from its fit."""
-        places, force = found.touches[:, :2], found.touches[:, 2] if self.forces else None
-        spread = np.sqrt(np.trace(found.covariance[:, :2, :2], axis1=1, axis2=2))
+        places, force = fit.touches[:, :2], fit.touches[:, 2] if self.forces else None
+        spread = np.sqrt(np.trace(fit.covariance[:, :2, :2], axis1=1, axis2=2))
         spread *= self.error_scale.evaluate(specimen.features) * self.own_error_scale
-        spread = np.hypot(spread, np.sqrt(found.hidden_variance))
+        spread = np.hypot(spread, np.sqrt(fit.hidden_variance))
         if self.touches:
             x, y = places.T[:, None]
             map_ = touch_maps(x, y, np.full_like(x, self.radius), self.size, self.shape)
         else:
             map_ = np.full((1, *self.shape), np.nan, np.float32)
-        surplus = np.maximum(found.estimate.gains - TOUCH_THRESHOLD, 0.0)
+        surplus = np.maximum(fit.estimate.gains - TOUCH_THRESHOLD, 0.0)
         strength = 1.0 - 0.5 * np.exp(-surplus / (2 * TOUCH_THRESHOLD))
         bends = self.bend_prior.angle_deg if self.bend_prior.bends else None
         return Predictions(
-            (chances := state_probabilities(found, bend, bends, self.touches))[None],
+            (chances := state_probabilities(fit, bend, bends, self.touches))[None],
             np.array([bend.angle_deg]),
             np.array([bend.deviation_deg]),
             map_,
             (FoundTouches.from_arrays(places, strength, force, spread),),
-            (specimen.problems + fit_problems(found, bend, bends, self.touches, chances),),
+            (specimen.problems + fit_problems(fit, bend, bends, self.touches, chances),),
         )
 
     def _project_change(self, change: Array, frames: float, age: float) -> CombinedChange:
@@ -356,23 +340,32 @@ class JointMethod(Method):
                 self._specimens.clear()
             p, learned = self.features.clip(flat), self.calibrated is None
             angle_features = self.angle_features.apply(flat) if self.angle_features else p
-            self._specimens[key] = SpecimenModel(
+            response, *others = self.responses(flat)
+            model = SpecimenModel(
                 p,
-                self.specimen_response(flat),
+                response,
                 self.calibrated or self.bend_prior.predict(p),
                 possible_faults(self.protocol, flat),
                 calibration_problems(flat, self.calibrated_flat),
                 (self.angles, angle_features) if self.angles and learned else None,
                 self.usual.predict(p) if self.usual and learned else None,
             )
+            model.other = replace(model, response=others[0]) if others else None
+            self._specimens[key] = model
         return self._specimens[key]
 
-    def specimen_response(self, flat: Array) -> SpecimenResponse:
-        """Response to touches of the sensor with these flat magnitudes (C,) [ohm]."""
-        learned = self.response.for_specimen(self.features.apply(flat))
+    def responses(self, flat: Array) -> list[SpecimenResponse]:
+        """Responses to touches that the sensor with these flat magnitudes (C,) [ohm] may have.
+
+        Its own, where that is known; else those learned, the usual one first.
+        """
+        features = self.features.apply(flat)
+        learned = [
+            each.for_specimen(features) for each in (self.response, self.other_response) if each
+        ]
         if self.own_output is None:
             return learned
-        return own_response(learned, self.own_output, self.own_latent)
+        return [own_response(learned[0], self.own_output, self.own_latent)]
 
     def adapt(self, known: KnownFrames) -> "tuple[JointMethod, Adaptation]":
         """The method adapted to one sensor by known frames, from what was learned in training.
@@ -403,17 +396,19 @@ class JointMethod(Method):
             adaptation = replace(adaptation, calibration=calibration)
             adapted = replace(adapted, calibrated=curve)
         if known.twin is not None and self.touches and self.forces:
-            learned = adapted.specimen_response(flat)
+            learned = adapted.responses(flat)[0]
             parts = (self.touch_prior, self.radius, self.combinations)
             output = own_output(learned, *parts, known.twin, self.bend_prior.bends)
             trial = twin_trial(learned, output, touched, self.combinations)
             adapted = replace(adapted, own_output=output if trial.accepts_twin else None)
             adaptation = replace(adaptation, twin=trial)
         if len(touched):
-            before = adapted.specimen_response(flat)
-            own = response_given(
-                before, touched, adapted._project_change, self.touch_prior, self.forces
-            )
+            terms = adapted._project_change, self.touch_prior, self.forces
+            number, own = likeliest_response(adapted.responses(flat), touched, *terms)
+            if number and self.other_response:
+                adapted = replace(
+                    adapted, response=self.other_response, other_response=self.response
+                )
             adapted = replace(adapted, own_output=own.output, own_latent=own.response.latent_output)
             estimated = adapted.predict(touched.observations).touches
             usual_force = self.touch_prior.force[0] if self.forces else None

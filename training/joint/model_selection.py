@@ -20,6 +20,7 @@ from eitskin.training.joint.channel_faults import (
     fit_with_fault,
     gross_fault,
 )
+from eitskin.training.joint.combinations import CombinedChange
 from eitskin.training.joint.fit_kernels import ANGLE_UNIT, OPTIMISM, TOUCH_UNITS
 from eitskin.training.joint.objective import (
     TOUCH_THRESHOLD,
@@ -66,6 +67,7 @@ ALLOWANCE = (6.0, 30.0, 50.0)
 """Most that a wide contact, of five or six unknowns, may raise the misfit of 2, 3, ... touches to
 be a rival: each touch that it spares has three unknowns, and a wide contact less odds."""
 STEPS, TOLERANCE = 7, 0.5  # of the fit of a wide contact, and promise of its misfit at the end
+FAINT = 8.0  # decrease of the misfit, to first order, from which a touch may be there
 DAMPING, LIGHTER, HEAVIER = 1e-2, 0.2, 6.0  # of its steps, and factors after good and bad ones
 SIZE_UNIT, LEAST_SIZE = 0.010, 0.005  # m, unit step of half lengths and radii, and the least first
 # m, spread of touches across that may be a bar, and that may be a disc
@@ -93,12 +95,12 @@ class WideContact:
     length: float
 
 
-def wide_rival(found: MapEstimate) -> WideContact | None:
+def wide_rival(estimate: MapEstimate) -> WideContact | None:
     """The likelier of a bar and a disc in place of all touches of an estimate; None if unlikely.
 
     Next to a single touch chance alone makes one likely.
     """
-    touches = found.at.touches
+    touches = estimate.at.touches
     if len(touches) < 2:
         return None
     share = touches[:, 2] / touches[:, 2].sum()
@@ -111,20 +113,20 @@ def wide_rival(found: MapEstimate) -> WideContact | None:
         starts.append((BAR, half * vectors[:, 1]))
     if values.sum() < RADIUS**2:
         starts.append((DISC, np.array([radius])))
-    rivals = [_fit_contact(found, shape, centre, size) for shape, size in starts]
+    rivals = [_fit_contact(estimate, shape, centre, size) for shape, size in starts]
     return min(filter(None, rivals), key=lambda each: each.misfit, default=None)
 
 
 def _fit_contact(
-    found: MapEstimate, shape: Array, centre: Array, size: Array
+    estimate: MapEstimate, shape: Array, centre: Array, size: Array
 ) -> WideContact | None:
     """Contact of points centre + shape (n, 2, m) size (m,) of equal forces, by least squares.
 
     None where it cannot become a rival.
     """
-    objective, count = found.objective, len(shape)
-    prior, residual = objective.prior, found.white[0]
-    limit = float(residual @ residual) + ALLOWANCE[len(found.at.touches) - 2]
+    objective, count = estimate.objective, len(shape)
+    prior, residual = objective.prior, estimate.white[0]
+    limit = float(residual @ residual) + ALLOWANCE[len(estimate.at.touches) - 2]
     units = np.concatenate([[ANGLE_UNIT], TOUCH_UNITS, np.full(len(size), SIZE_UNIT)])
 
     def rows(unknowns: Array) -> Array:
@@ -135,9 +137,11 @@ def _fit_contact(
         each = objective.linearise(Unknowns(touches, float(unknowns[0]))).rows
         by_point = each[2:].reshape(count, 3, -1)
         by_size = np.tensordot(shape, by_point[:, :2], axes=((0, 1), (0, 1)))
-        return np.concatenate([each[:2], by_point.sum(axis=0), by_size]) @ found.whitening.T
+        return np.concatenate([each[:2], by_point.sum(axis=0), by_size]) @ estimate.whitening.T
 
-    unknowns = np.array([found.at.angle_deg, *centre, found.at.touches[:, 2].sum() / count, *size])
+    unknowns = np.array(
+        [estimate.at.angle_deg, *centre, estimate.at.touches[:, 2].sum() / count, *size]
+    )
     white, damping = rows(unknowns), DAMPING
     for _ in range(STEPS):
         products = white @ white.T
@@ -201,10 +205,12 @@ class FrameFit:
 
     def __post_init__(self) -> None:
         """Give the estimate in physical units, with its covariances."""
-        found = self.estimate
-        self.touches, self.angle_deg = found.minimum(FINE[1])
-        _, self.misfit, self.degrees_of_freedom = found.whole
-        covariance = max(found.misfit / found.degrees_of_freedom, 1.0) * inverse(found.hessian)
+        estimate = self.estimate
+        self.touches, self.angle_deg = estimate.minimum(FINE[1])
+        _, self.misfit, self.degrees_of_freedom = estimate.whole
+        covariance = max(estimate.misfit / estimate.degrees_of_freedom, 1.0) * inverse(
+            estimate.hessian
+        )
         self.angle_deviation_deg = ANGLE_UNIT * math.sqrt(covariance[0, 0])
         blocks = [slice(1 + 3 * i, 4 + 3 * i) for i in range(len(self.touches))]
         of_touches = np.array([covariance[block, block] for block in blocks]).reshape(-1, 3, 3)
@@ -217,6 +223,20 @@ class FrameFit:
         """Fit without touches, of a frame whose `faults` were taken out."""
         nothing = Unknowns(np.zeros((0, 3)), objective.reference_deg)
         return cls(levenberg_marquardt(objective, nothing, *FINE), 0.0, faults)
+
+    @property
+    def may_be_touched(self) -> bool:
+        """Whether the frame has touches, or may have, as by another response."""
+        poor = self.estimate.misfit_sigma > CHI2_HIGH_SIGMA
+        return bool(len(self.touches)) or poor or self.faint > FAINT
+
+    def take_touches_out(self, change: CombinedChange) -> CombinedChange:
+        """The change less that by the touches, whose errors count as noise."""
+        touches, response = np.ascontiguousarray(self.touches), self.estimate.objective.response
+        by_touches, *slopes = response.with_derivatives(touches, self.angle_deg)
+        further = np.einsum("iak,aij,jal->kl", slopes, self.covariance, slopes, optimize=True)
+        rest = change.measured - by_touches.sum(axis=0) @ change.combinations.back
+        return replace(change, measured=np.where(change.good, rest, 0.0), further=further)
 
     @property
     def hidden_variance(self) -> Array:
@@ -380,25 +400,25 @@ def _initial_angle(objective: TouchObjective) -> float:
     return float(angles[best]) if best < ANGLE_GRID else objective.reference_deg
 
 
-def _may_gain(found: MapEstimate) -> bool:
+def _may_gain(estimate: MapEstimate) -> bool:
     """Whether a further touch could gain enough and leave a misfit that noise could cause."""
-    degrees_of_freedom = max(found.degrees_of_freedom - 3, 1)
+    degrees_of_freedom = max(estimate.degrees_of_freedom - 3, 1)
     lowest = max(degrees_of_freedom - CHI2_LOW_SIGMA * math.sqrt(2.0 * degrees_of_freedom), 0.0)
-    touches = len(found.at.touches)
-    return found.misfit - lowest > price(touches + 1) - price(touches)
+    touches = len(estimate.at.touches)
+    return estimate.misfit - lowest > price(touches + 1) - price(touches)
 
 
-def _split(found: MapEstimate, candidates: TouchCandidates) -> MapEstimate:
+def _split(estimate: MapEstimate, candidates: TouchCandidates) -> MapEstimate:
     """The better of the estimate and those in which two touches replace one.
 
     The greedy search finds the middle of two touches instead of the pair.
     """
-    objective = found.objective
-    replaced: list[int | None] = list(range(len(found.at.touches)))
-    if len(found.at.touches) <= MAX_TOUCHES - 2:
+    objective = estimate.objective
+    replaced: list[int | None] = list(range(len(estimate.at.touches)))
+    if len(estimate.at.touches) <= MAX_TOUCHES - 2:
         replaced.append(None)
-    pairs = pair_starts(found, replaced, candidates)
-    best = found
+    pairs = pair_starts(estimate, replaced, candidates)
+    best = estimate
     for _, start in sorted(pairs, key=lambda pair: pair[0])[:PAIR_TRIALS]:
         at = objective.linearise(start)
         whitening = objective.whitening(at)
@@ -407,4 +427,4 @@ def _split(found: MapEstimate, candidates: TouchCandidates) -> MapEstimate:
         trial = levenberg_marquardt(objective, at, *FINE, whitening, goal)
         if trial.misfit < goal:
             best = trial
-    return best if best is found else prune(best)
+    return best if best is estimate else prune(best)

@@ -5,7 +5,6 @@ and networks, where there are some. `SpecimenModel.angle` combines them.
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -24,7 +23,7 @@ from eitskin.training.joint.channel_faults import (
 from eitskin.training.joint.combinations import CombinedChange
 from eitskin.training.joint.networks import AngleNetworks
 from eitskin.training.joint.objective import KERNELS, misfit_sigma, solution, whitening_matrix
-from eitskin.training.joint.touch_response import SpecimenResponse, TouchResponse
+from eitskin.training.joint.touch_response import SpecimenResponse
 from eitskin.training.joint.touch_search import TouchCandidates
 
 Array = NDArray[np.float64]
@@ -49,6 +48,7 @@ RIVAL = 2.0 * math.log(20.0)  # of improbabilities; what is likelier by less doe
 MIN_BEND_DEVIATIONS = 2.0  # standard errors below which no bend is claimed, and no fault looked for
 TEMPER = 0.7
 """Power of the evidence for the usual clamp in standard errors: a clamp near it fits as well."""
+MOVED_DEG = 1.0  # by which a fit must differ from its flat reference to need a second one
 STEP_DEG = 10.0  # of the angles at which touch candidates are kept
 
 
@@ -241,18 +241,6 @@ def posterior_angle(
     return replace(likeliest, angle_deg=mean, deviation_deg=max(spread, NORMAL_DEG))
 
 
-def candidate_rows(
-    response: TouchResponse, places: Array, angle_deg: tuple[float, float]
-) -> dict[int, Array]:
-    """Response network at places (n, 2) [m] and the middle force, the same for all specimens.
-
-    Evaluated once, at steps of the angle [deg] over the range learned from, by their numbers.
-    """
-    low, high = (round(end / STEP_DEG) for end in np.add(angle_deg, (-BEYOND_DEG, BEYOND_DEG)))
-    touches = np.column_stack([places, np.full(len(places), response.ranges.middle_force)])
-    return {step: response.hidden_output(touches, step * STEP_DEG) for step in range(low, high + 1)}
-
-
 @dataclass(slots=True, eq=False)
 class SpecimenModel:
     """The learned model for one specimen.
@@ -266,6 +254,8 @@ class SpecimenModel:
         networks: networks of the angle, with the features that they are given; None without.
         usual: bend curve, should the specimen bend as usual; None where nothing is usual or the
             curve is known.
+        other: the model with another response, as of touches on plates; None where none was learned
+            or the response is known.
     """
 
     features: Array
@@ -275,6 +265,7 @@ class SpecimenModel:
     problems: tuple[str, ...] = ()
     networks: tuple[AngleNetworks, Array] | None = None
     usual: BendCurve | None = None
+    other: "SpecimenModel | None" = None
     _last: tuple[bytes, AngleEstimate] | None = field(default=None, init=False)
     _candidates: dict[int, TouchCandidates] = field(default_factory=dict, init=False)
 
@@ -288,6 +279,11 @@ class SpecimenModel:
             bend = self._angle(combined)
             self._last = (key, self._flat_but_for_a_contact(combined, bend) or bend)
         return self._last[1]
+
+    def bends_since(self, reference: AngleEstimate, angle_deg: float) -> bool:
+        """Whether a frame at an angle shows how a sensor bends that was flat in its reference."""
+        flat = self.usual is not None and reference.angle_deg == 0.0
+        return flat and abs(angle_deg) >= MOVED_DEG
 
     def _flat_but_for_a_contact(
         self, combined: CombinedChange, bend: AngleEstimate
@@ -359,16 +355,12 @@ class SpecimenModel:
         curve_estimate = None if estimate.faults or lost else by_curve
         return replace(estimate, angle_deg=angle, deviation_deg=deviation, by_curve=curve_estimate)
 
-    def candidates(
-        self, angle_deg: float, places: Array, rows: Mapping[int, Array]
-    ) -> TouchCandidates:
-        """Touch candidates at places (n, 2) [m] and the step nearest to an angle [deg].
-
-        The `candidate_rows` are those of all specimens at these places.
-        """
+    def candidates(self, angle_deg: float, places: Array) -> TouchCandidates:
+        """Touch candidates at places (n, 2) [m] and the step nearest to an angle [deg]."""
         step = round(angle_deg / STEP_DEG)
         if step not in self._candidates:
-            force, change = self.response.response.ranges.middle_force, rows[step]
-            change = change @ self.response.output.T
+            force = self.response.response.ranges.middle_force
+            touches = np.column_stack([places, np.full(len(places), force)])
+            change = self.response(touches, step * STEP_DEG)
             self._candidates[step] = TouchCandidates(places, force, change)
         return self._candidates[step]

@@ -67,15 +67,15 @@ def initial_touches(objective: TouchObjective, places: Array, untouched: Lineari
 
 
 def single_starts(
-    found: MapEstimate, candidates: TouchCandidates, least_gain: float
+    estimate: MapEstimate, candidates: TouchCandidates, least_gain: float
 ) -> list[Unknowns]:
     """Unknowns with one more touch where the misfit falls most, by at least `least_gain`.
 
     The first touch may fit nearly as well elsewhere, such as across the middle of the sensor: then
     there are two starts.
     """
-    objective, unknowns = found.objective, found.unknowns
-    strength, gain = further_touches(found, candidates)
+    objective, unknowns = estimate.objective, estimate.unknowns
+    strength, gain = further_touches(estimate, candidates)
     gain = np.where(_is_far_enough(objective, candidates.places, unknowns), gain, 0.0)
     starts: list[Unknowns] = []
     highest = float(gain.max())
@@ -92,33 +92,33 @@ def single_starts(
 
 
 def pair_starts(
-    found: MapEstimate, replaced: Sequence[int | None], candidates: TouchCandidates
+    estimate: MapEstimate, replaced: Sequence[int | None], candidates: TouchCandidates
 ) -> list[tuple[float, Unknowns]]:
     """Best pairs of further touches, where there is room, and the misfit that each leaves.
 
     Two shapes with Gram matrix G and projections p of the residual lower the misfit by p^T G^-1 p.
 
     Args:
-        found: estimate of the frame.
+        estimate: estimate of the frame.
         replaced: number of the touch that a pair takes the place of; None for a pair next to all.
         candidates: touches, some of which may be one of a pair.
 
     Returns:
         misfit to first order, and unknowns with the pair.
     """
-    objective = found.objective
+    objective = estimate.objective
     places, change = (each[::PAIR_STRIDE] for each in (candidates.places, candidates.change))
     apart = cdist(places, places) > objective.prior.separation
-    shapes = change @ found.whitening.T
+    shapes = change @ estimate.whitening.T
     gram = shapes @ shapes.T
     limits = objective.prior.low[2], objective.prior.high[2]
     least, most = (limit / candidates.force for limit in limits)
     pairs = []
     for touch in replaced:
-        unknowns, residual = found.unknowns, found.white[0]
+        unknowns, residual = estimate.unknowns, estimate.white[0]
         if touch is not None:
             unknowns = unknowns.without_touch(touch)
-            residual = residual + found.whitening @ found.at.changes[touch]
+            residual = residual + estimate.whitening @ estimate.at.changes[touch]
         free = _is_far_enough(objective, places, unknowns)
         gain, *pair = _best_pair(gram, shapes @ residual, apart, free, least, most)
         if gain <= 0.0:
@@ -128,61 +128,67 @@ def pair_starts(
     return pairs
 
 
-def further_touches(found: MapEstimate, candidates: TouchCandidates) -> tuple[Array, Array]:
+def further_touches(estimate: MapEstimate, candidates: TouchCandidates) -> tuple[Array, Array]:
     """Strength of one more touch at each candidate, and by how much it lowers the misfit (n,)."""
-    whitening = found.objective.whitening(found.at)
+    whitening = estimate.objective.whitening(estimate.at)
     shapes = candidates.change @ whitening.T
     # Directions that a change of the angle explains are no evidence of a touch.
-    bend = whitening @ found.at.rows[1] * (ANGLE_PRIOR_STD_DEG / ANGLE_UNIT)
+    bend = whitening @ estimate.at.rows[1] * (ANGLE_PRIOR_STD_DEG / ANGLE_UNIT)
     bend /= np.sqrt(1.0 + bend @ bend)
-    residual = whitening @ found.at.residual
+    residual = whitening @ estimate.at.residual
     on_bend, on_residual = shapes @ bend, shapes @ residual
     sizes = np.einsum("nk,nk->n", shapes, shapes) - (2.0 - bend @ bend) * on_bend**2
     strength = (on_residual - on_bend * (bend @ residual)) / sizes
     return strength, np.where(strength > 0.0, strength**2 * sizes, 0.0)
 
 
-def divisions(found: MapEstimate, candidates: TouchCandidates) -> Array:
+def divisions(estimate: MapEstimate, candidates: TouchCandidates) -> Array:
     """Two touches in place of each of k, as near to it as a fit may take them for one (k, 2).
 
     By how much the best pair of forces that touches have lowers the misfit, to first order, minus
     infinity where there is none; and how far the farther of both is from the touch [m].
     """
-    objective, found_so = found.objective, np.tile([-np.inf, 0.0], (len(found.at.touches), 1))
+    objective, divided = estimate.objective, np.tile([-np.inf, 0.0], (len(estimate.at.touches), 1))
     limits = objective.prior.low[2], objective.prior.high[2]
     least, most = FAINT * limits[0] / candidates.force, limits[1] / candidates.force
-    rest = _project_out(found.white[1:], np.zeros((0, found.white.shape[1])), found.white[0])[1]
-    for number, (touch, change) in enumerate(zip(found.at.touches, found.at.changes, strict=True)):
+    rest = _project_out(
+        estimate.white[1:], np.zeros((0, estimate.white.shape[1])), estimate.white[0]
+    )[1]
+    for number, (touch, change) in enumerate(
+        zip(estimate.at.touches, estimate.at.changes, strict=True)
+    ):
         away = np.hypot(*(candidates.places - touch[:2]).T)
         around = np.flatnonzero(away < objective.prior.separation)[::DIVISION_STRIDE]
         places, free = candidates.places[around], np.ones(len(around), bool)
-        others = np.delete(found.white[1:], slice(1 + 3 * number, 4 + 3 * number), axis=0)
-        shapes = candidates.change[around] @ found.whitening.T
-        shapes, residual = _project_out(others, shapes, found.white[0] + found.whitening @ change)
+        others = np.delete(estimate.white[1:], slice(1 + 3 * number, 4 + 3 * number), axis=0)
+        shapes = candidates.change[around] @ estimate.whitening.T
+        shapes, residual = _project_out(
+            others, shapes, estimate.white[0] + estimate.whitening @ change
+        )
         apart = cdist(places, places) > MIN_SPACING * objective.prior.separation
         gain, (one, a), (other, b) = _best_pair(
             shapes @ shapes.T, shapes @ residual, apart, free, least, most
         )
         if gain > 0.0:
             decrease = float(residual @ residual) - float(rest @ rest)
-            found_so[number] = gain - decrease, max(away[around[one]], away[around[other]])
-        if len(found.at.touches) == 1 and found_so[number, 0] > REFINEMENT_GAIN:
+            divided[number] = gain - decrease, max(away[around[one]], away[around[other]])
+        if len(estimate.at.touches) == 1 and divided[number, 0] > REFINEMENT_GAIN:
             pair = np.column_stack([places[[one, other]], candidates.force * np.array([a, b])])
-            found_so[number] = _refine_pair(found, pair)
-    return found_so
+            divided[number] = _refine_pair(estimate, pair)
+    return divided
 
 
-def _refine_pair(found: MapEstimate, pair: Array) -> tuple[float, float]:
+def _refine_pair(estimate: MapEstimate, pair: Array) -> tuple[float, float]:
     """Decrease of the misfit by a pair (2, 3) in place of a touch, fitted, and its distance [m]."""
-    prior = found.objective.prior
+    prior = estimate.objective.prior
     objective = replace(
-        found.objective, prior=replace(prior, separation=MIN_SPACING * prior.separation)
+        estimate.objective, prior=replace(prior, separation=MIN_SPACING * prior.separation)
     )
     fitted = levenberg_marquardt(
-        objective, Unknowns(pair, found.at.angle_deg), *FINE, found.whitening
+        objective, Unknowns(pair, estimate.at.angle_deg), *FINE, estimate.whitening
     )
-    away = np.hypot(*(fitted.at.touches[:, :2] - found.at.touches[0, :2]).T)
-    return found.misfit - fitted.misfit, float(away.max())
+    away = np.hypot(*(fitted.at.touches[:, :2] - estimate.at.touches[0, :2]).T)
+    return estimate.misfit - fitted.misfit, float(away.max())
 
 
 def _project_out(explained: Array, shapes: Array, residual: Array) -> tuple[Array, Array]:
@@ -250,24 +256,24 @@ def prune(estimate: MapEstimate) -> MapEstimate:
     return estimate
 
 
-def _threshold_of_weakest(found: MapEstimate) -> float:
+def _threshold_of_weakest(estimate: MapEstimate) -> float:
     """Least gain of the weakest touch of an estimate.
 
     Where the estimate leaves more misfit than chance would, errors are larger than the model has
     them, and further touches gain more by chance in proportion (Birge 1932). That anything touches
     at all needs no more evidence: without the touch still more would be left.
     """
-    if len(found.at.touches) < 2:
+    if len(estimate.at.touches) < 2:
         return TOUCH_THRESHOLD
-    usual = found.degrees_of_freedom + USUAL_SIGMA * math.sqrt(2.0 * found.degrees_of_freedom)
-    return FURTHER_THRESHOLD * max(found.misfit / usual, 1.0)
+    usual = estimate.degrees_of_freedom + USUAL_SIGMA * math.sqrt(2.0 * estimate.degrees_of_freedom)
+    return FURTHER_THRESHOLD * max(estimate.misfit / usual, 1.0)
 
 
-def _without_touch(found: MapEstimate, touch: int, threshold: float) -> MapEstimate:
+def _without_touch(estimate: MapEstimate, touch: int, threshold: float) -> MapEstimate:
     """The estimate without one touch; one that has not converged where the touch is needed."""
-    objective = found.objective
-    others = objective.linearise(found.unknowns.without_touch(touch))
+    objective = estimate.objective
+    others = objective.linearise(estimate.unknowns.without_touch(touch))
     whitening = objective.whitening(others)
-    goal = found.misfit + threshold  # in the metric of `estimate`
-    goal *= objective.misfit(others, whitening) / objective.misfit(others, found.whitening)
+    goal = estimate.misfit + threshold  # in the metric of `estimate`
+    goal *= objective.misfit(others, whitening) / objective.misfit(others, estimate.whitening)
     return levenberg_marquardt(objective, others, *FINE, whitening, goal)

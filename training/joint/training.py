@@ -98,7 +98,9 @@ def fit_joint(
     touches have a strength instead (`_with_strengths`). Raises DataError where it holds too few
     touches of known position, untouched frames at known angles, or idle frames.
     """
-    data, images = _usable(dataset), mirrors(spec.design, spec.protocol)
+    whole, images = _usable(dataset), mirrors(spec.design, spec.protocol)
+    on_plates = _is_on_plates(whole)
+    data = whole.select(~on_plates)
     every = SpecimenFeatures.fit(np.abs(data.reference[np.unique(data.specimen)]), images)
     touched, bent = (
         MirroredFrames.from_touched(data, images),
@@ -109,6 +111,10 @@ def fit_joint(
     run = TrainingRun(every, combinations, settings, seed, progress)
     bends, losses = fit_bends(run, bent)
     touches, touch_losses = _fit_touches(run, data, touched, bends["bend_prior"], spec)
+    if on_plates.any():
+        plates = whole.select(on_plates)
+        frames, ranges = MirroredFrames.from_touched(plates, images), _input_ranges(plates, spec)
+        touches["other_response"] = _fit_response(run, frames, ranges)[0]
     return make(
         features=every.first(),
         combinations=combinations,
@@ -144,21 +150,12 @@ def _fit_touches(
             "radius": NOMINAL_RADIUS,
         }
         return fields, {}
-    from eitskin.training.joint.touch_training import SyntheticFrames, fit_proposals, fit_response
+    from eitskin.training.joint.touch_training import SyntheticFrames, fit_proposals
 
     rows, images = is_touched(data), len(np.unique(touched.image))
     touches = np.stack([data.touch_x, data.touch_y, data.touch_force], axis=-1)[rows]
     prior = TouchPrior.fit(touches, spec.outline, float(np.nanmax(data.touch_radius)))
-    angle = data.bend_angle_deg
-    force = (float(np.nanmin(data.touch_force)), float(np.nanmax(data.touch_force)))
-    ranges = InputRanges(spec.outline, force, (float(angle.min()), float(angle.max())))
-    frames = touched.combine(run.features.first(), run.combinations)
-    held_out = frames.specimen % HOLD_OUT == HOLD_OUT - 1
-    seen, checked = (frames[~held_out], frames[held_out]) if held_out.any() else (frames, frames)
-    response, response_losses = fit_response(
-        seen, ranges, run.settings.response, run.seed, run.progress
-    )
-    response = replace(response, mismatch=fit_mismatch(response, checked))
+    response, response_losses = _fit_response(run, touched, _input_ranges(data, spec))
     share = max(len(touched.change) // images / TOUCHED_FRAMES, MIN_PROPOSALS)
     settings = run.settings.proposals.shorten(min(share, 1.0))
     synthetic = SyntheticFrames(response, curves, prior, run.combinations)
@@ -171,6 +168,40 @@ def _fit_touches(
         "radius": float(np.nanmedian(data.touch_radius)),
     }
     return fields, {"response": response_losses, "proposals": losses}
+
+
+def _input_ranges(data: Dataset, spec: InputSpec) -> InputRanges:
+    """Ranges of the forces and angles of a dataset."""
+    angle, force = data.bend_angle_deg, data.touch_force
+    ranges = (float(np.nanmin(force)), float(np.nanmax(force)))
+    return InputRanges(spec.outline, ranges, (float(angle.min()), float(angle.max())))
+
+
+def _fit_response(
+    run: TrainingRun, touched: MirroredFrames, ranges: InputRanges
+) -> tuple[TouchResponse, LearningCurve]:
+    """Response to touches, whose mismatch is that on specimens held out, and losses."""
+    from eitskin.training.joint.touch_training import fit_response
+
+    frames = touched.combine(run.features.first(), run.combinations)
+    held_out = frames.specimen % HOLD_OUT == HOLD_OUT - 1
+    seen, checked = (frames[~held_out], frames[held_out]) if held_out.any() else (frames, frames)
+    response, losses = fit_response(seen, ranges, run.settings.response, run.seed, run.progress)
+    return replace(response, mismatch=fit_mismatch(response, checked)), losses
+
+
+def _is_on_plates(data: Dataset) -> NDArray[np.bool_]:
+    """Whether the sensor of each frame (n,) is touched on plates; of none where those are few.
+
+    Plates change the response to touches alone, so all else is learned from the other sensors.
+    """
+    on_plates = (np.bincount(data.specimen, data.support_gap > 0.0) > 0.0)[data.specimen]
+    counts = [
+        np.count_nonzero(kind & part)
+        for kind in (is_touched(data), is_untouched(data))
+        for part in (on_plates, ~on_plates)
+    ]
+    return on_plates & (min(counts) >= MIN_FRAMES)
 
 
 def fit_bends(run: TrainingRun, bent: MirroredFrames) -> tuple[dict[str, Any], LearningCurve]:
@@ -268,12 +299,14 @@ def _with_strengths(data: Dataset) -> Dataset:
 def held_out_touches(dataset: Dataset) -> Dataset | None:
     """Some touched frames of the specimens that the response was learned without, if there are any.
 
-    By the rule of `_fit_touches`.
+    By the rule of `_fit_response`.
     """
     data = _usable(dataset)
     rows = np.flatnonzero(is_touched(data))
-    _, specimen = np.unique(data.specimen[rows], return_inverse=True)
-    rows = rows[specimen % HOLD_OUT == HOLD_OUT - 1]
+    number, on_plates = np.zeros(len(rows), dtype=int), _is_on_plates(data)[rows]
+    for part in (on_plates, ~on_plates):
+        number[part] = np.unique(data.specimen[rows[part]], return_inverse=True)[1]
+    rows = rows[number % HOLD_OUT == HOLD_OUT - 1]
     chosen = np.zeros(len(data), dtype=bool)
     chosen[rows[:: max(1, -(-len(rows) // CHECK_FRAMES))]] = True
     return data.select(chosen) if len(rows) else None

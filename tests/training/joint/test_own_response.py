@@ -141,11 +141,29 @@ def pressed_known(one, count, rng, *, touches=1, forces=True):
     return known_frames(FLAT, 4, change, np.zeros(count), touches=known)
 
 
+def test_touches_are_estimated_by_the_likelier_of_two_responses(method):
+    """Channels have other gains on plates; on a base nothing changes, and known touches decide."""
+    gains = 1.0 + 0.3 * np.random.default_rng(8).standard_normal((28, 1))
+    there = replace(method.response, output=gains * method.response.output)
+    both, rng = replace(method, other_response=there), np.random.default_rng(1)
+    base, plates = both.responses(FLAT)
+    known = pressed_known(plates, 12, rng)
+    assert mean_error(both, known) < 0.5 * mean_error(method, known)
+    again = JointMethod.from_arrays(both.arrays(), LAYOUT)
+    assert mean_error(again, known) == pytest.approx(mean_error(both, known), rel=1e-3)
+    adapted = both.adapt(known[:4])[0]
+    assert len(adapted.responses(FLAT)) == 1
+    assert left(adapted, plates, rng) < 0.1 * left(method, plates, rng)
+    known = pressed_known(base, 12, rng)
+    assert mean_error(both, known) == mean_error(method, known)
+    assert left(both.adapt(known[:4])[0], base, rng) < 0.1
+
+
 def left(smooth, one, rng):
     """Rms error of the response of an adapted smooth in other touches, relative to these."""
     touches = rng.uniform(TOUCH_PRIOR.low, TOUCH_PRIOR.high, (200, 3))
     exact = one(touches, 0.0)
-    error = smooth.specimen_response(FLAT)(touches, 0.0) - exact
+    error = smooth.responses(FLAT)[0](touches, 0.0) - exact
     return np.sqrt(np.mean(error**2) / np.mean(exact**2))
 
 

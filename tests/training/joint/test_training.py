@@ -194,6 +194,36 @@ def test_a_sensor_that_is_never_bent_and_touches_without_forces_of_two_specimens
     assert (told.bends, told.left_out) == (0, 1)
 
 
+def with_plates(data):
+    """The same frames; the second half of the specimens are on plates, where all is nearer in x."""
+    on_plates = data.specimen >= 12
+    nearer = (0.075 + 0.7 * (data.touch_x - 0.075)).astype(np.float32)
+    return replace(
+        data,
+        touch_x=np.where(on_plates[:, None], nearer, data.touch_x),
+        support_gap=np.where(on_plates, 0.04, 0.0).astype(np.float32),
+    )
+
+
+@pytest.mark.slow
+def test_touches_on_plates_are_learned_apart():
+    data = with_plates(dataset(1500))
+    with small_networks(steps=10):
+        method = restored(fit_joint(JointMethod, data, LAYOUT, BRIEF))
+    assert set(held_out_touches(data).specimen.tolist()) == {7, 19}
+    unseen = with_plates(dataset(400, seed=1))
+    unseen = unseen.select((unseen.touch_count == 1) & (unseen.specimen >= 12))
+    touches = np.stack([unseen.touch_x, unseen.touch_y, unseen.touch_force], axis=2)[:, :1]
+    change = np.log(np.abs(unseen.impedance / unseen.touch_reference))
+    flat, angles = np.abs(unseen.reference[unseen.specimen]), unseen.bend_angle_deg.astype(float)
+    base, plates = (
+        [one(touch, angle)[0] for one, touch, angle in zip(ones, touches, angles, strict=True)]
+        for ones in zip(*map(method.responses, flat), strict=True)
+    )
+    errors = [np.linalg.norm(each @ method.combinations.back - change) for each in (base, plates)]
+    assert errors[1] < 0.5 * errors[0]
+
+
 @pytest.mark.slow
 def test_a_sensor_that_is_never_touched():
     """Idle or bent, and the angle; nothing of touches, with no network."""
