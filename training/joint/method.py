@@ -72,6 +72,7 @@ Array = NDArray[np.float64]
 
 NETWORKS = ("response", "proposals", "angles")  # parts whose learning curves are stored
 OTHER_ODDS = -2.0  # logarithm of the odds of the other response, before a frame is seen
+SKEW_DEG = 6.0  # standard deviation of a bend within a frame, 20 deg/s
 FURTHER_DEG = 15.0  # to a second direction of bends, which has their curvature
 
 
@@ -220,7 +221,12 @@ class JointMethod(Method):
         if bends and np.nanmax(np.abs(static - dynamic), initial=0.0) > 0:
             shares = static_share + dynamic_share
             apart = frame.age[0] - frame.dynamic_age[0]
-            reference = specimen.angle(self._project_change(static - dynamic, shares, apart))
+            shift = self._project_change(static - dynamic, shares, apart)
+            reference = specimen.angle(shift)
+            if reference.faults:  # or the sensor moved while the reference was measured
+                late = SKEW_DEG * (self.combinations.lateness @ specimen.curve.slope(0.0))
+                moving = specimen.angle(replace(shift, further=np.outer(late, late)))
+                reference = reference if moving.faults else moving
         change = self._project_change(dynamic, share + dynamic_share, frame.dynamic_age[0])
 
         frame_fit = self._fit_likelier(change, reference, specimen)
