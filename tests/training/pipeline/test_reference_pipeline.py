@@ -6,7 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eitskin.datasets import State
+from eitskin.benchmarks.paper.scores import replay
+from eitskin.datasets import Recipe, State
+from eitskin.datasets.generation.shard_simulation import simulate_frames
+from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.errors import DataError, FrameError
 from eitskin.geometry import Bend, Clamp, SensorDesign
 from eitskin.simulator import Frame, Instrument, Protocol, Scene, Simulator, Touch
@@ -96,6 +99,24 @@ def test_a_bend_beyond_those_learned_is_reported(session, angle_deg, problem):
         said = session(Scene(Bend(share * angle_deg)))
     assert problem in " ".join(said.problems)
     assert bool(said.problems) == bool(problem)
+
+
+def test_a_sensor_that_bends_fast_is_not_lost():
+    """A reference that was measured meanwhile looks like changed contacts and a bend of 55 deg."""
+    spread = dict.fromkeys(("conductivity", "contact_impedance"), 0.15)
+    spread |= dict.fromkeys(("gel_modulus", "encapsulation_modulus"), 0.1)
+    spread |= {"electrode_place": 5e-4, "hinge_span": 5e-4, "hinge_offset": 3e-4}
+    recipe = replace(
+        Recipe.from_shipped("paper_demo"),
+        seed=3006,
+        resolution="fast",
+        reference_frames=8,
+        specimens=Specimens(count=1, thickness=0.02, **spread),
+    )
+    data = simulate_frames(recipe, range(63))
+    said = list(replay(Pipeline.load("reference.eitmodel"), data))[55:]
+    assert {each.state for each in said} == {State.BEND}
+    assert max(abs(each.bend_angle_deg - 20.0) for each in said) < 3.0
 
 
 @pytest.mark.parametrize("change", [{"session": 1}, {"number": 0, "time": 0.0}])
