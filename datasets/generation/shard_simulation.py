@@ -21,7 +21,7 @@ from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import CLAMP_FIELDS
 from eitskin.datasets.store.writer import touch_columns
 from eitskin.geometry.deformation.fixtures import Clamp
-from eitskin.geometry.design.sensor import Plates, SensorDesign, Support
+from eitskin.geometry.design.sensor import Plates, SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.simulator.bends.bend_table import on_support
 from eitskin.simulator.deformation.pressed_sensor import TouchModel
@@ -80,7 +80,8 @@ def simulate_frames(recipe: Recipe, indices: Iterable[int]) -> Dataset:
     impedance, status = (np.array(part) for part in zip(*map(measure, samples), strict=True))
     held = ([touch for touch in each.scene.touches if not touch.released] for each in samples)
     touches = [touch_columns(each) for each in held]
-    clamps = [_clamp(each.scene, specimen(recipe, each.specimen)) for each in samples]
+    pairs = [(each.scene, specimen(recipe, each.specimen)) for each in samples]
+    clamps = [_clamp(*pair) for pair in pairs]
     return Dataset.from_arrays(
         impedance[:, 0],
         np.array([reference for _, reference in boards.values()]),
@@ -92,7 +93,7 @@ def simulate_frames(recipe: Recipe, indices: Iterable[int]) -> Dataset:
         bend_angle_deg=np.array([each.scene.bend.angle_deg for each in samples]),
         **{name: np.array([row[name] for row in touches]) for name in touches[0]},
         **dict(zip(CLAMP_FIELDS, np.array(clamps).T, strict=True)),
-        support_gap=np.array([_gap(each.scene, recipe.sensor.support) for each in samples]),
+        support_gap=np.array([_gap(*pair) for pair in pairs]),
         time=np.array([each.time for each in samples]),
         episode=np.array([each.episode for each in samples]),
         number=np.array([each.index for each in samples]),
@@ -116,10 +117,10 @@ def _clamp(scene: Scene, drawn_specimen: Specimen) -> tuple[float, float, float,
     return clamp.span, clamp.offset, 1.0 if clamp.faces == "bottom" else 2.0, stiffness
 
 
-def _gap(scene: Scene, support: Support) -> float:
+def _gap(scene: Scene, drawn_specimen: Specimen) -> float:
     """Gap [m] between the plates that carry the sensor of a scene; 0 on a base."""
-    carrying = scene.support or support
-    return carrying.span if isinstance(carrying, Plates) else 0.0
+    support = scene.support or drawn_specimen.design.support
+    return support.span if isinstance(support, Plates) else 0.0
 
 
 def _board(

@@ -161,7 +161,7 @@ def _is_positive(values: NDArray[Any]) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(values) & (values > 0))
 
 
-_POSSIBLE_CLAMPS: Final[dict[str, tuple[Callable[[NDArray[Any]], NDArray[np.bool_]], str]]] = {
+_POSSIBLE_FIXTURES: Final[dict[str, tuple[Callable[[NDArray[Any]], NDArray[np.bool_]], str]]] = {
     "clamp_span": (_is_positive, "a positive length in m"),
     "clamp_offset": (np.isfinite, "a length in m"),
     "clamp_faces": (lambda values: np.isin(values, (1, 2)), "1 or 2"),
@@ -198,7 +198,7 @@ def check_values(columns: Mapping[str, NDArray[Any]]) -> None:
         specimens, most = len(columns["reference"]), columns["specimen"].max(initial=0)
         if most >= specimens:
             raise DataError(f"specimen {most} has no reference; there are {specimens}")
-    for name, (possible, expected) in _POSSIBLE_CLAMPS.items():
+    for name, (possible, expected) in _POSSIBLE_FIXTURES.items():
         values = columns.get(name, np.zeros(0))
         wrong = values[~(np.isnan(values) | possible(values))]
         if len(wrong):

@@ -132,14 +132,14 @@ class PlacedDent:
         shear = c * s * (u_r - hoop)
         across = c * c * u_r + s * s * hoop, shear, c * u_z
         along = shear, s * s * u_r + c * c * hoop, s * u_z
-        found = np.stack([c * u, s * u, w, *across, *along, c * w_r, s * w_r, w_z])
+        values = np.stack([c * u, s * u, w, *across, *along, c * w_r, s * w_r, w_z])
         if self.frame is not None:
             R, scale = self._turn[:3], self._turn[3]
-            G = np.einsum("ij,jk...,k->ik...", R, found[3:].reshape(3, 3, *u.shape), scale)
-            found = np.concatenate(
-                [np.einsum("ij,j...->i...", R, found[:3]), G.reshape(9, *u.shape)]
+            G = np.einsum("ij,jk...,k->ik...", R, values[3:].reshape(3, 3, *u.shape), scale)
+            values = np.concatenate(
+                [np.einsum("ij,j...->i...", R, values[:3]), G.reshape(9, *u.shape)]
             )
-        moved[..., near] = found
+        moved[..., near] = values
         return moved
 
     def accumulate(self, kernels: ModuleType, points: Array, places: Array, F: Array) -> None:

@@ -175,7 +175,7 @@ def add_dent(
         places, gradients: arrays that are added to.
     """
     reach, last, rate = knots[-1], len(knots) - 2, 2.0 / height
-    value, slope, found, one = np.empty(12), np.empty(12), np.empty(9), np.empty(3)
+    value, slope, parts, one = np.empty(12), np.empty(12), np.empty(9), np.empty(3)
     piece, before_x, before_y, r, c, s = 0, np.nan, np.nan, reach, 1.0, 0.0
     for n in range(len(points)):
         x, y = points[n, 0], points[n, 1]
@@ -210,14 +210,14 @@ def add_dent(
         cc, ss, cs = c * c, s * s, c * s
         one[0], one[1], one[2] = c * u, s * u, w
         across = cs * (u_r - u / r)
-        found[0], found[1], found[2] = cc * u_r + ss * (u / r), across, c * u_z
-        found[3], found[4], found[5] = across, ss * u_r + cc * (u / r), s * u_z
-        found[6], found[7], found[8] = c * w_r, s * w_r, w_z
+        parts[0], parts[1], parts[2] = cc * u_r + ss * (u / r), across, c * u_z
+        parts[3], parts[4], parts[5] = across, ss * u_r + cc * (u / r), s * u_z
+        parts[6], parts[7], parts[8] = c * w_r, s * w_r, w_z
         for i in range(3):
             R0, R1, R2 = turn[i, 0], turn[i, 1], turn[i, 2]
             places[n, i] += R0 * one[0] + R1 * one[1] + R2 * one[2]
             for k in range(3):
-                turned = R0 * found[k] + R1 * found[3 + k] + R2 * found[6 + k]
+                turned = R0 * parts[k] + R1 * parts[3 + k] + R2 * parts[6 + k]
                 gradients[n, 3 * i + k] += turned * turn[3, k]
 
 

@@ -80,21 +80,21 @@ class PairCorrections:
         turned as by `NodeSums.add`.
         """
         apart = np.hypot(*(second - first)[:, :2].T)
-        felt = np.flatnonzero(apart < self.wide.nodes("axis_distance")[-1])
+        close = np.flatnonzero(apart < self.wide.nodes("axis_distance")[-1])
         fields: list[Field | None] = [None] * len(first)
         extra = np.zeros(len(first))
-        if not len(felt):
+        if not len(close):
             return fields, extra
-        angle = np.arctan2(*(second - first)[felt, 1::-1].T)
-        middle, deep = 0.5 * (first + second)[felt, :2], (first * second)[felt, 2]
-        apart = apart[felt]
+        angle = np.arctan2(*(second - first)[close, 1::-1].T)
+        middle, deep = 0.5 * (first + second)[close, :2], (first * second)[close, 2]
+        apart = apart[close]
         amounts, numbers = self.wide.evaluate(axis_distance=apart, product=deep)
-        extra[felt] = numbers["extra_depth"]
+        extra[close] = numbers["extra_depth"]
         wide = self.wide
         height = self.design.thickness
         stiffer = 1.0 if self.modulus is None else self.modulus / wide.size("modulus")
         scales = np.array([1.0, 1.0, height / wide.size("height"), stiffer])
-        for k, number in enumerate(felt.tolist()):
+        for k, number in enumerate(close.tolist()):
             nearest = max(float(apart[k]), float(wide.nodes("axis_distance")[0]))
             bases = pair_tables.pair_bases(nearest, wide.size("thickness"))
             at_x, at_y = middle[k].tolist()
@@ -103,8 +103,8 @@ class PairCorrections:
         if self.sides is not None and sums is not None:
             near = np.flatnonzero(apart < self.sides.nodes("axis_distance")[-1])
             pairs = middle[near], apart[near], angle[near], deep[near]
-            own = None if turns is None else turns[felt[near]]
-            _add_of_sides(self.sides, *pairs, scenes[felt[near]], sums, own)
+            own = None if turns is None else turns[close[near]]
+            _add_of_sides(self.sides, *pairs, scenes[close[near]], sums, own)
         return fields, extra
 
 

@@ -93,7 +93,7 @@ def dents(
         [sensors[n] for n in tabulated],
         [frames[n] for n in tabulated],
     )
-    found: list[Dents | BentPresses] = []
+    presses: list[Dents | BentPresses] = []
     for one, bend, own in zip(dented, bends, frames, strict=True):
         fields = next(summed) if one.solved is None else (one.solved,)
         tops = (None,) * len(one.parts) if own is None else own[: len(one.parts)]
@@ -104,8 +104,8 @@ def dents(
             ),
             fields,
         )
-        found.append(placed if bend is None else BentPresses(bend, placed))
-    return found
+        presses.append(placed if bend is None else BentPresses(bend, placed))
+    return presses
 
 
 def _frames(scene: "_DentedScene", sensor: PressedSensor, bend: Deformation) -> list[ContactFrame]:
@@ -280,10 +280,10 @@ def _evaluate(
         one, other, numbers = np.array(some).T
         changes = pair_corrections(design, mechanics, indenter, grid)
         own = None if scaled is None else scaled[numbers]
-        felt, deeper = changes.evaluate(places[one], places[other], owners[one], sums, own)
+        pair_fields, deeper = changes.evaluate(places[one], places[other], owners[one], sums, own)
         for end in (one, other):
             np.add.at(extra, end, deeper)
-        for n, number, change in zip(one.tolist(), numbers.tolist(), felt, strict=True):
+        for n, number, change in zip(one.tolist(), numbers.tolist(), pair_fields, strict=True):
             if change is not None:
                 add_field(int(owners[n]), number, change)
     return fields, extra

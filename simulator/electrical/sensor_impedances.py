@@ -278,16 +278,16 @@ def solve_together(
         model: _solve_on_mesh(model, list(some), tolerance, frequency)
         for model, some in wanted.items()
     }
-    found: list[dict[Scene, Numbers]] = []
+    impedances: list[dict[Scene, Numbers]] = []
     for sensor, family, scenes in sensors:
-        found.append({})
+        impedances.append({})
         for scene in scenes:
             model, bare = family.model_for_touches(scene.touches), (sensor, without_touches(scene))
-            found[-1][scene] = solved[model][sensor, scene]
+            impedances[-1][scene] = solved[model][sensor, scene]
             if model is not family.base:
-                change = found[-1][scene] - solved[model][bare]
-                found[-1][scene] = solved[family.base][bare] + change
-    return found
+                change = impedances[-1][scene] - solved[model][bare]
+                impedances[-1][scene] = solved[family.base][bare] + change
+    return impedances
 
 
 def _solve_on_mesh(

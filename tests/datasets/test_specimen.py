@@ -307,6 +307,20 @@ def test_plates_under_a_clamped_sensor_hold_its_lower_face_and_hinges_none(chang
     assert data.support_gap[0] == np.float32(0.030 if changes else 0.0)
 
 
+def test_the_gap_between_plates_is_that_of_each_specimen():
+    design = dataclasses.replace(SensorDesign.reference(), support=Plates(0.040))
+    spread = Specimens(count=4, hinge_span=0.002)
+    recipe = Recipe(
+        "gaps", scenes=(SceneGroup("idle", count=4),), sensor=design, specimens=spread, seed=2
+    )
+    data = simulate_frames(dataclasses.replace(recipe, resolution="fast"), range(4))
+    drawn = [specimen(recipe, n) for n in data.specimen_number[data.specimen].tolist()]
+    assert np.array_equal(
+        data.support_gap, np.float32([each.design.support.span for each in drawn])
+    )
+    assert len(set(data.support_gap.tolist())) == 4
+
+
 # Boards of specimens: loads that differ as asked for, in frames and references of each
 
 

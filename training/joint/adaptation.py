@@ -362,6 +362,7 @@ def response_given(
 def likeliest_response(
     priors: Sequence[SpecimenResponse],
     touched: KnownFrames,
+    combinations: Combinations,
     combined: Combined,
     touches: TouchPrior,
     forces: bool,
@@ -371,9 +372,9 @@ def likeliest_response(
     The other arguments are those of `response_given`.
     """
     given = [response_given(each, touched, combined, touches, forces) for each in priors]
-    combinations = combined(np.zeros(touched.observations.flat.shape[1]), 1.0, 0.0).combinations
-    left = [_relative_residual(each, touched, combinations) for each in given]
-    return int(np.argmin(left)), given[int(np.argmin(left))]
+    residuals = [_relative_residual(each, touched, combinations) for each in given]
+    best = int(np.argmin(residuals))
+    return best, given[best]
 
 
 def _group_held_touches(touched: KnownFrames) -> list[NDArray[np.intp]]:

@@ -72,7 +72,7 @@ Array = NDArray[np.float64]
 
 NETWORKS = ("response", "proposals", "angles")  # parts whose learning curves are stored
 OTHER_ODDS = -2.0  # logarithm of the odds of the other response, before a frame is seen
-SKEW_DEG = 6.0  # standard deviation of a bend within a frame, 20 deg/s
+SKEW_DEG = 6.0  # standard deviation of a bend within a frame: 20 deg/s in 0.3 s
 FURTHER_DEG = 15.0  # to a second direction of bends, which has their curvature
 
 
@@ -120,6 +120,7 @@ class JointMethod(Method):
             hidden + 1); None without.
         own_latent: its derivatives by what is still unknown of that sensor (Q, K, hidden + 1); None
             without known touches.
+        own_other: whether that is a last layer of the other response.
     """
 
     KIND: ClassVar[str] = "joint"
@@ -153,6 +154,7 @@ class JointMethod(Method):
     own_noise_scale: float = 1.0
     own_output: Array | None = None
     own_latent: Array | None = None
+    own_other: bool = False
     _specimens: dict[bytes, SpecimenModel] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
@@ -371,7 +373,7 @@ class JointMethod(Method):
         ]
         if self.own_output is None:
             return learned
-        return [own_response(learned[0], self.own_output, self.own_latent)]
+        return [own_response(learned[self.own_other], self.own_output, self.own_latent)]
 
     def adapt(self, known: KnownFrames) -> "tuple[JointMethod, Adaptation]":
         """The method adapted to one sensor by known frames, from what was learned in training.
@@ -393,6 +395,7 @@ class JointMethod(Method):
             own_noise_scale=noise,
             own_output=None,
             own_latent=None,
+            own_other=False,
         )
         if len(bent):
             priors = self.bend_prior, self.usual, p
@@ -409,12 +412,9 @@ class JointMethod(Method):
             adapted = replace(adapted, own_output=output if trial.accepts_twin else None)
             adaptation = replace(adaptation, twin=trial)
         if len(touched):
-            terms = adapted._project_change, self.touch_prior, self.forces
+            terms = self.combinations, adapted._project_change, self.touch_prior, self.forces
             number, own = likeliest_response(adapted.responses(flat), touched, *terms)
-            if number and self.other_response:
-                adapted = replace(
-                    adapted, response=self.other_response, other_response=self.response
-                )
+            adapted = replace(adapted, own_other=bool(number))
             adapted = replace(adapted, own_output=own.output, own_latent=own.response.latent_output)
             estimated = adapted.predict(touched.observations).touches
             usual_force = self.touch_prior.force[0] if self.forces else None

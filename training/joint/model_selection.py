@@ -67,7 +67,7 @@ ALLOWANCE = (6.0, 30.0, 50.0)
 """Most that a wide contact, of five or six unknowns, may raise the misfit of 2, 3, ... touches to
 be a rival: each touch that it spares has three unknowns, and a wide contact less odds."""
 STEPS, TOLERANCE = 7, 0.5  # of the fit of a wide contact, and promise of its misfit at the end
-FAINT = 8.0  # decrease of the misfit, to first order, from which a touch may be there
+HINT = 8.0  # decrease of the misfit, to first order, from which a touch may be there
 DAMPING, LIGHTER, HEAVIER = 1e-2, 0.2, 6.0  # of its steps, and factors after good and bad ones
 SIZE_UNIT, LEAST_SIZE = 0.010, 0.005  # m, unit step of half lengths and radii, and the least first
 # m, spread of touches across that may be a bar, and that may be a disc
@@ -228,7 +228,7 @@ class FrameFit:
     def may_be_touched(self) -> bool:
         """Whether the frame has touches, or may have, as by another response."""
         poor = self.estimate.misfit_sigma > CHI2_HIGH_SIGMA
-        return bool(len(self.touches)) or poor or self.faint > FAINT
+        return bool(len(self.touches)) or poor or self.faint > HINT
 
     def take_touches_out(self, change: CombinedChange) -> CombinedChange:
         """The change less that by the touches, whose errors count as noise."""

@@ -54,9 +54,7 @@ MIN_PROPOSALS = 0.25
 HOLD_OUT = 8  # every how many-th specimen is held out, to show how far errors are larger there
 CHECK_FRAMES = 500  # frames of these, by which standard errors of places are scaled
 MIN_SPECIMENS = 100  # from which on networks of the angle are tried
-MISMATCH_FRAMES = (
-    2000  # frames of held out specimens, by which errors of the response are estimated
-)
+MISMATCH_FRAMES = 2000  # of specimens held out, by which errors of the response are estimated
 MISMATCH_RANGE = (1e-3, 1.0)
 COMPARISON_FRAMES = 2000  # frames, by which networks and bend curves are compared
 

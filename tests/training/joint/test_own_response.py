@@ -142,9 +142,12 @@ def pressed_known(one, count, rng, *, touches=1, forces=True):
 
 
 def test_touches_are_estimated_by_the_likelier_of_two_responses(method):
-    """Channels have other gains on plates; on a base nothing changes, and known touches decide."""
+    """Layers and gains differ on plates; on a base nothing changes, and known touches decide."""
     gains = 1.0 + 0.3 * np.random.default_rng(8).standard_normal((28, 1))
-    there = replace(method.response, output=gains * method.response.output)
+    first, *weights = method.response.weights
+    there = replace(
+        method.response, weights=(1.2 * first, *weights), output=gains * method.response.output
+    )
     both, rng = replace(method, other_response=there), np.random.default_rng(1)
     base, plates = both.responses(FLAT)
     known = pressed_known(plates, 12, rng)
@@ -154,9 +157,12 @@ def test_touches_are_estimated_by_the_likelier_of_two_responses(method):
     adapted = both.adapt(known[:4])[0]
     assert len(adapted.responses(FLAT)) == 1
     assert left(adapted, plates, rng) < 0.1 * left(method, plates, rng)
+    restored = JointMethod.from_arrays(adapted.arrays(), LAYOUT)
+    assert left(restored, plates, rng) < 0.1 * left(method, plates, rng)
     known = pressed_known(base, 12, rng)
     assert mean_error(both, known) == mean_error(method, known)
-    assert left(both.adapt(known[:4])[0], base, rng) < 0.1
+    for before in (both, adapted):  # an adaptation before has no effect
+        assert left(before.adapt(known[:4])[0], base, rng) < 0.1
 
 
 def left(smooth, one, rng):

@@ -96,9 +96,9 @@ def test_bent_sensors_are_told_where_touched_and_capacitances_by_phases(session)
 )
 def test_a_bend_beyond_those_learned_is_reported(session, angle_deg, problem):
     for share in (0.3, 0.6, 1.0, 1.0):
-        said = session(Scene(Bend(share * angle_deg)))
-    assert problem in " ".join(said.problems)
-    assert bool(said.problems) == bool(problem)
+        estimate = session(Scene(Bend(share * angle_deg)))
+    assert problem in " ".join(estimate.problems)
+    assert bool(estimate.problems) == bool(problem)
 
 
 def test_a_sensor_that_bends_fast_is_not_lost():
@@ -114,9 +114,9 @@ def test_a_sensor_that_bends_fast_is_not_lost():
         specimens=Specimens(count=1, thickness=0.02, **spread),
     )
     data = simulate_frames(recipe, range(63))
-    said = list(replay(Pipeline.load("reference.eitmodel"), data))[55:]
-    assert {each.state for each in said} == {State.BEND}
-    assert max(abs(each.bend_angle_deg - 20.0) for each in said) < 3.0
+    estimates = list(replay(Pipeline.load("reference.eitmodel"), data))[55:]
+    assert {each.state for each in estimates} == {State.BEND}
+    assert max(abs(each.bend_angle_deg - 20.0) for each in estimates) < 3.0
 
 
 @pytest.mark.parametrize("change", [{"session": 1}, {"number": 0, "time": 0.0}])
