@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 
@@ -16,6 +16,7 @@ from eitskin.training.joint.objective import (
     MapEstimate,
     levenberg_marquardt,
     misfit_sigma,
+    solution,
     whitening_matrix,
 )
 from eitskin.training.joint.touch_search import prune
@@ -83,6 +84,7 @@ class PossibleFaults:
 
     faults: tuple[ChannelFault, ...]
     changes: Array
+    _whole: list[tuple[Array, Array]] = field(default_factory=list, init=False, repr=False)
 
     @cached_property
     def contacts(self) -> list[int]:
@@ -95,6 +97,18 @@ class PossibleFaults:
         several = (list(combinations(self.contacts, k)) for k in range(2, MAX_CONTACTS + 1))
         singles = [(i,) for i in range(len(self.faults))]
         return tuple(np.array(each) for each in (singles, *several) if each)
+
+    def signatures(self, combined: CombinedChange) -> tuple[Array, Array]:
+        """Combinations (K, n) and remainders (C, n) of all faults; those of all measurements stay.
+
+        A sensor has one set of combinations, so only the measurements left out change them.
+        """
+        if not combined.good.all():
+            return combined.project_observed(self.changes), combined.remainder(self.changes)
+        if not self._whole:
+            parts = combined.project_observed(self.changes), combined.remainder(self.changes)
+            self._whole.append(parts)
+        return self._whole[0]
 
     def alone(
         self, combined: CombinedChange, slopes: Array, worth: float = math.inf, ages: bool = False
@@ -111,12 +125,8 @@ class PossibleFaults:
         """
         scale = math.sqrt(combined.frames)
         whitening = whitening_matrix(combined.noise + slopes.T @ slopes)
-        changes = FAULT_SIZE * self.changes
-        seen, rest = (
-            whitening @ combined.project_observed(changes),
-            combined.remainder(changes) / scale,
-        )
-        shown = np.concatenate([seen, rest])
+        seen, rest = (FAULT_SIZE * each for each in self.signatures(combined))
+        shown = np.concatenate([whitening @ seen, rest / scale])
         residual = np.concatenate([whitening @ combined.change, combined.rest / scale])
         gram, on = shown.T @ shown, shown.T @ residual
         width = 2.0 * float(np.sum(np.log(np.diagonal(whitening))))
@@ -125,11 +135,11 @@ class PossibleFaults:
         alternatives = [(self.sets[0], 1.0, 1)]
         if len(self.contacts) > 1:  # all of them together gain more than any few
             together = gram[np.ix_(self.contacts, self.contacts)] + np.eye(len(self.contacts))
-            most = float(on[self.contacts] @ np.linalg.solve(together, on[self.contacts]))
+            most = float(on[self.contacts] @ solution(together, on[self.contacts]))
             if most - 2.0 * FAULT_PRICE > least:
                 alternatives += [(sets, 1.0, sets.shape[1]) for sets in self.sets[1:]]
-        if ages and len(self.contacts) > MAX_CONTACTS:
-            alternatives += [(every, size, 1) for size in AGEING]
+            if ages and len(self.contacts) > MAX_CONTACTS and most - FAULT_PRICE > least:
+                alternatives += [(every, size, 1) for size in AGEING]
         best, gain, stiffness = np.zeros(0, np.intp), -math.inf, 1.0
         for sets, size, prices in alternatives:
             if sets.shape[1] == 1:
@@ -146,8 +156,8 @@ class PossibleFaults:
         if gain <= least:
             return None
         inverse = np.linalg.inv(gram[np.ix_(best, best)] + stiffness * np.eye(len(best)))
-        mine = changes[:, best]
-        spread = combined.project_observed(mine) @ np.linalg.cholesky(inverse)
+        mine = FAULT_SIZE * self.changes[:, best]
+        spread = seen[:, best] @ np.linalg.cholesky(inverse)
         further = spread @ spread.T + (0.0 if combined.further is None else combined.further)
         cleaned = replace(
             combined,
@@ -180,11 +190,8 @@ class PossibleFaults:
             residual: residual of the combinations, then the remainder, whitened (K + C,).
             jacobian: jacobian of the other unknowns, whitened (K, n); none explains the remainder.
         """
-        seen, rest = (
-            whitening @ combined.project_observed(self.changes),
-            combined.remainder(self.changes),
-        )
-        rest = (rest.T / scale).T
+        seen, rest = self.signatures(combined)
+        seen, rest = whitening @ seen, (rest.T / scale).T
         factors, tau, _, _ = lapack.dgeqrf(jacobian)
         basis = lapack.dorgqr(factors[:, : len(tau)], tau)[0]  # orthonormal, of its columns
         free = seen - basis @ (basis.T @ seen)
@@ -275,9 +282,9 @@ def fit_with_fault(
             sigma = misfit_sigma(misfit - gain, degrees_of_freedom - 1)
             likely = misfit - gain <= estimate.whole[1] + allowance and sigma <= ACCEPTED_SIGMA
         combined = estimate.objective.combined.drop(fault.members)
-        fewer = replace(estimate.objective, combined=combined)
         if not likely or combined.count < len(combined.good) // 2:
             continue
+        fewer = replace(estimate.objective, combined=combined)
         again = prune(levenberg_marquardt(fewer, alternative.unknowns, STEPS, TOLERANCE))
         if again.whole_sigma < ACCEPTED_SIGMA:
             return fault, again

@@ -49,6 +49,7 @@ MIN_BEND_DEVIATIONS = 2.0  # standard errors below which no bend is claimed, and
 TEMPER = 0.7
 """Power of the evidence for the usual clamp in standard errors: a clamp near it fits as well."""
 MOVED_DEG = 1.0  # by which a fit must differ from its flat reference to need a second one
+MAX_ANGLES = 8  # estimates of angles that are kept
 STEP_DEG = 10.0  # of the angles at which touch candidates are kept
 
 
@@ -266,19 +267,21 @@ class SpecimenModel:
     networks: tuple[AngleNetworks, Array] | None = None
     usual: BendCurve | None = None
     other: "SpecimenModel | None" = None
-    _last: tuple[bytes, AngleEstimate] | None = field(default=None, init=False)
+    _angles: dict[bytes, AngleEstimate] = field(default_factory=dict, init=False)
     _candidates: dict[int, TouchCandidates] = field(default_factory=dict, init=False)
 
     def angle(self, combined: CombinedChange) -> AngleEstimate:
         """Bend angle of an untouched frame by its change from the flat sensor.
 
-        The last estimate is kept, because a reference stays the same while a touch lasts.
+        The latest estimates are kept, because a reference stays the same while a touch lasts.
         """
         key = combined.change.tobytes() + combined.noise.tobytes()
-        if self._last is None or self._last[0] != key:
+        if key not in self._angles:
             bend = self._angle(combined)
-            self._last = (key, self._flat_but_for_a_contact(combined, bend) or bend)
-        return self._last[1]
+            if len(self._angles) == MAX_ANGLES:
+                self._angles.pop(next(iter(self._angles)))
+            self._angles[key] = self._flat_but_for_a_contact(combined, bend) or bend
+        return self._angles[key]
 
     def bends_since(self, reference: AngleEstimate, angle_deg: float) -> bool:
         """Whether a frame at an angle shows how a sensor bends that was flat in its reference."""
