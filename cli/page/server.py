@@ -111,7 +111,7 @@ class Server:
                 (HTTPException, ConfigurationError, ClientDisconnect), _refuse
             ),
         )
-        self._loop = asyncio.new_event_loop()
+        self._loop = asyncio.SelectorEventLoop()
         self._thread = threading.Thread(
             target=self._run, args=(listener,), name="page server", daemon=True
         )
@@ -163,12 +163,15 @@ class Server:
         opened = partial(_Connection, config, state, {"page": self}, self._loop)
         server = await self._loop.create_server(opened, sock=listener, backlog=_BACKLOG)
         await self._closed.wait()
+        self._loop.remove_reader(listener)
+        await asyncio.sleep(0)  # who was just accepted is refused, and lost, by a closed server
         server.close()
         self._changed.set()
         for arriving in list(self.arriving):
             arriving.transport.abort()
-        if state.tasks:
-            await asyncio.wait(state.tasks, timeout=self.limits.send)
+        # Requests, and connections that are being opened.
+        if tasks := asyncio.all_tasks() - {asyncio.current_task()}:
+            await asyncio.wait(tasks, timeout=self.limits.send)
         for connection in list(state.connections):
             connection.transport.abort()
         await server.wait_closed()

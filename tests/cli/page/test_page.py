@@ -246,6 +246,17 @@ def test_closing_leaves_nothing_behind(connection) -> None:
         socket.create_connection(("127.0.0.1", port))
 
 
+def test_who_comes_while_a_page_closes_is_closed_with_it(connection, monkeypatch) -> None:
+    page, resume = LivePage(connection, DESIGN), threading.Event()
+    port, thread = port_of(page), page.server._thread
+    page.server._loop.call_soon_threadsafe(resume.wait)
+    with socket.create_connection(("127.0.0.1", port)):  # is accepted once the loop goes on
+        join = thread.join
+        monkeypatch.setattr(thread, "join", lambda: (resume.set(), join()))
+        page.close()
+        assert sockets_at(port) == 0
+
+
 def test_every_asset_is_shipped_served_and_of_this_page_alone(page) -> None:
     folder = resources.files("eitskin.cli.page") / "web"
     for name in (entry.name for entry in folder.iterdir()):
