@@ -20,7 +20,6 @@ from eitskin.errors import DataError
 
 from shards_here import in_this_process
 from small_dataset import assert_same, make
-from version_one import save_version_one
 
 RECIPE = """
 name = "cheap"
@@ -112,7 +111,6 @@ def test_info_verify_and_compact_tell_of_sets_and_shards(tmp_path):
     assert "touch: 20, bend: 20" in said
     assert "50 to 50" in said
     assert printed_json("dataset", "info", tmp_path / "set" / "shard-000001.h5")["frames"] == 20
-    folder = tmp_path / "set"
     folder = tmp_path / "verified"
     save_dataset(make(40), folder, frames_per_shard=10)
     sound = run("dataset", "verify", folder)
@@ -127,7 +125,7 @@ def test_info_verify_and_compact_tell_of_sets_and_shards(tmp_path):
     assert [each["file"] for each in found["damage"]] == ["shard-000001.h5", "shard-000003.h5"]
     assert "shard-000003.h5" in run("dataset", "verify", folder).stdout
     folder = tmp_path / "old"
-    save_version_one(make(40), folder, frames_per_shard=10)
+    save_dataset(make(40), folder, frames_per_shard=10)
     found = printed_json("dataset", "compact", folder, "--out", tmp_path / "new")
     assert (found["frames"], found["shards"], found["format_version"]) == (40, 1, 2)
     assert_same(open_dataset(tmp_path / "new"), make(40))

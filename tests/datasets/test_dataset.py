@@ -12,7 +12,6 @@ from eitskin.errors import ConfigurationError, DataError, FrameError
 from eitskin.simulator import Frame, Protocol, Status, Touch
 
 from small_dataset import assert_same, make
-from version_one import save_version_one
 
 # Datasets in memory
 
@@ -159,7 +158,7 @@ def test_use_reads_labels_together_and_other_columns_when_they_are_asked_for(fol
 
 
 @pytest.mark.slow
-def test_all_methods_answer_as_those_of_a_dataset_in_memory(folder, data, tmp_path):
+def test_all_methods_answer_as_those_of_a_dataset_in_memory(folder, data):
     assert_same(open_dataset(folder), data)
     for chosen in (slice(3, 40, 5), [45, 2, 2, -1], data.state == 1, []):
         assert_same(open_dataset(folder).select(chosen), data.select(chosen))
@@ -172,8 +171,6 @@ def test_all_methods_answer_as_those_of_a_dataset_in_memory(folder, data, tmp_pa
     assert_same(copy.deepcopy(found), data)
     changed = dataclasses.replace(found, seed=8)
     assert (changed.seed, len(changed.select([1, 2]))) == (8, 2)
-    save_version_one(data, tmp_path / "old", frames_per_shard=12)
-    assert_same(open_dataset(tmp_path / "old"), data)
     assert "50 frames" in repr(found)
     with pytest.raises(AttributeError):
         found.impedances  # noqa: B018

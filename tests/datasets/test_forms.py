@@ -10,6 +10,7 @@ from typing import NamedTuple
 import command_line
 import h5py
 import numpy as np
+import pandas
 import pytest
 from scipy.io import savemat
 from scipy.sparse import csc_matrix
@@ -152,6 +153,19 @@ def rows(frames=FRAMES, separator=",", form="{:.9g}"):
 
 def names(prefix, count, first=0, separator=","):
     return separator.join(f"{prefix}{k + first}" for k in range(count))
+
+
+def arrays(path):
+    """HDF5 with things that are no readings beside them: a link elsewhere, and references."""
+    with h5py.File(path, "w") as file:
+        file["v"], file["who"] = FRAMES, ["gel A", "gel A", "gel B"]
+        file["elsewhere"] = h5py.ExternalLink("secrets.h5", "/")
+        file["things"] = np.array([file["v"].ref], dtype=h5py.ref_dtype)
+
+
+def parquet(path):
+    pytest.importorskip("pyarrow")
+    pandas.DataFrame({"v": FRAMES.tolist(), "who": ["gel A", "gel A", "gel B"]}).to_parquet(path)
 
 
 def numbered(frames=FRAMES, prefix="v", separator=",", form="{:.9g}", extra=("", ())):
@@ -303,6 +317,9 @@ FORMS = [
          P8 + " --values r.v"),
     Form("MATLAB, a cell a frame", "a.mat",
          lambda p: savemat(p, {"c": np.array([*FRAMES, None], object)[:3]}), P8 + " --values c"),
+    Form("HDF5", "a.h5", arrays, P8 + " --values v --column specimen=who"),
+    Form("Parquet, a list a frame", "a.parquet", parquet,
+         P8 + " --values v --column specimen=who"),
     Form("Excel, positions on page 2", "a.xlsx", lambda p: excel(p, PLAIN, PLACES),
          P8 + " --sheet page0,page1"),
 ]  # fmt: skip

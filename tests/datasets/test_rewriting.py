@@ -16,7 +16,6 @@ from eitskin.simulator import Protocol
 
 from shards_here import contents
 from small_dataset import assert_same, make
-from version_one import save_version_one
 
 
 @pytest.fixture
@@ -107,18 +106,15 @@ def data():
 
 
 @pytest.mark.slow
-def test_a_set_of_version_one_becomes_one_of_version_two(tmp_path, data):
-    cut, counts = 20, [20, 20, 7]
-    folder, seen = save_version_one(data, tmp_path / "old", frames_per_shard=12), []
-    save_dataset(data, tmp_path / "direct", frames_per_shard=12)
-    compact(folder, tmp_path / "as cut", None)
-    assert contents(tmp_path / "as cut") == contents(tmp_path / "direct")
-    manifest = compact(folder, tmp_path / "new", cut, lambda *counts: seen.append(counts))
-    assert manifest.format_version == 2
+def test_a_set_is_cut_anew_with_the_specimens_of_each_shard(tmp_path, data):
+    cut, counts, seen = 20, [20, 20, 7], []
+    save_dataset(data, tmp_path / "set", frames_per_shard=12)
+    compact(tmp_path / "set", tmp_path / "as cut", None)
+    assert contents(tmp_path / "as cut") == contents(tmp_path / "set")
+    manifest = compact(tmp_path / "set", tmp_path / "new", cut, lambda *done: seen.append(done))
     assert [entry.count for entry in manifest.shards] == counts
     assert seen == [(number + 1, len(counts)) for number in range(len(counts))]
     assert_same(open_dataset(tmp_path / "new"), data)
-    assert verify(tmp_path / "new").damage == ()
     last = read_shard(tmp_path / "new" / manifest.shards[-1].name)
     assert last.specimen_number.tolist() == sorted({*(data.specimen[-counts[-1] :].tolist())})
 

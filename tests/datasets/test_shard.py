@@ -26,7 +26,6 @@ from eitskin.datasets.store.shard import append_checksum, shard_bytes, verify_ch
 from eitskin.errors import DataError
 
 from small_dataset import assert_same, make
-from version_one import save_version_one
 
 NEWER = FORMAT_VERSION + 1
 
@@ -51,12 +50,8 @@ def test_a_shard_brings_everything_back(tmp_path, data):
     assert (data.state == UNKNOWN_STATE).all() == (data is UNKNOWN)
 
 
-def test_a_shard_holds_only_its_own_specimens_and_one_of_version_one_all(tmp_path):
+def test_a_shard_holds_only_its_own_specimens(tmp_path):
     data = make(40, specimens=8, specimen=np.arange(40) // 5)
-    save_version_one(data, tmp_path / "old", frames_per_shard=20)
-    old = read_shard(tmp_path / "old" / "shard-000001.h5")
-    assert (len(old.reference), old.number.tolist()) == (8, [*range(20, 40)])
-    assert_same(open_dataset(tmp_path / "old"), data)
     save_dataset(data, tmp_path / "set", frames_per_shard=20)
     part = read_shard(tmp_path / "set" / "shard-000001.h5")
     assert part.specimen_number.tolist() == [4, 5, 6, 7]

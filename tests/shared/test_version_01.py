@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eitskin.datasets import open_dataset
+from eitskin.datasets import compact, open_dataset, verify
+from eitskin.datasets.store import folder as folders
 from eitskin.hardware import open_board
 from eitskin.training import Pipeline, RecordedTouches, open_pipeline
 from eitskin.training.evaluation.evaluate import held_out_positions
@@ -39,9 +40,17 @@ def same(values, expected) -> bool:
     )
 
 
+@pytest.mark.parametrize("by", ["shard", "column", "copy in another form"])
 @pytest.mark.parametrize("name", ["dataset", "recording", "presses"])
-def test_a_dataset_has_the_same_values_to_the_last_bit(saved, name):
-    dataset, expected = open_dataset(saved / name), EXPECTED[name]
+def test_a_dataset_has_the_same_values_to_the_last_bit(saved, name, by, tmp_path, monkeypatch):
+    folder, expected = saved / name, EXPECTED[name]
+    if by == "column":
+        monkeypatch.setattr(folders, "READ_AT_ONCE", 0)
+    if by.startswith("copy"):
+        folder = tmp_path / "new"
+        assert compact(saved / name, folder, frames_per_shard=11).format_version == 2
+        assert not verify(folder).damage
+    dataset = open_dataset(folder)
     for field, (dtype, shape, digest) in expected["arrays"].items():
         array = getattr(dataset, field)
         assert (array.dtype.str, list(array.shape)) == (dtype, shape), field
