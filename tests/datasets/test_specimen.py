@@ -15,7 +15,7 @@ from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import MAX_DEVIATIONS, Mounts, Specimens
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Clamp, Electrode, Hinge, Layer, Plates, SensorDesign
-from eitskin.simulator import Cylinder, FourTerminalMeter, Instrument, Mechanics, SensorGrid
+from eitskin.simulator import FourTerminalMeter, Instrument, Mechanics
 from eitskin.simulator.deformation import press_table as tables
 from eitskin.simulator.deformation import solution_store
 from eitskin.simulator.deformation.press_table import PressTable, press_table
@@ -204,24 +204,6 @@ def presses_by_law(monkeypatch):
     press_table.cache_clear()
     yield
     press_table.cache_clear()
-
-
-@pytest.mark.parametrize("factor", [0.93, 1.04])
-def test_presses_between_thicknesses_are_interpolated(monkeypatch, factor):
-    monkeypatch.setattr(tables, "load_press_table", law)
-    design = dataclasses.replace(
-        DESIGN, thickness=0.005 * factor, encapsulated_thickness=0.012 * factor
-    )
-    grid = SensorGrid(thickness=0.005)
-    found = press_table.__wrapped__(design, Mechanics(), Cylinder(), grid)
-    exact = law(Mechanics().stack(design), None)
-    for name in ("depths", "forces", "contact_radii", "thinnings", "energies", "thickness"):
-        assert getattr(found, name) == pytest.approx(getattr(exact, name), rel=1e-9), name
-    # Knots go with the thickness: between those tables the dents differ by more than their law.
-    upward = np.array([np.interp(found.knots, exact.knots, row) for row in exact.moved[..., 0, 1]])
-    assert found.moved[..., 0, 1] == pytest.approx(upward, abs=0.01 * upward.max())
-    nominal = press_table.__wrapped__(DESIGN, Mechanics(), Cylinder(), grid)
-    assert np.array_equal(nominal.moved, law(Mechanics().stack(DESIGN), None).moved)
 
 
 @pytest.mark.usefixtures("presses_by_law")

@@ -121,16 +121,6 @@ def test_each_is_listed_once():
     assert len(ROWS) == len(set(ROWS)) > len(PROVOKED)
 
 
-def test_a_command_that_is_interrupted_says_so(tmp_path, monkeypatch):
-    def interrupt(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("eitskin.simulator.scene.scene.Scene.from_toml", interrupt)
-    ran = CliRunner().invoke(app, ["simulate", str(tmp_path / "scene.toml")])
-    assert ran.exit_code == 130
-    assert ran.stderr == "eitskin: interrupted\n"
-
-
 class Interrupts:
     """Has Ctrl-C come when `eitskin.cli.main` is about to be loaded."""
 

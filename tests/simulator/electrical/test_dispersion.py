@@ -5,10 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import skfem
-from scipy.sparse import csc_array
-from scipy.sparse.linalg import splu
-from skfem.helpers import dot, grad
 
 from eitskin.datasets import Recipe
 from eitskin.datasets.generation.shard_simulation import simulate_frames
@@ -17,7 +13,6 @@ from eitskin.geometry import (
     ColeCole,
     ConductivityTable,
     Electrode,
-    Inclusion,
     Layer,
     Rectangle,
     SensorDesign,
@@ -87,54 +82,3 @@ def test_all_ways_to_frames_are_linear_in_the_conductivity(tmp_path: Path) -> No
     flat = simulator.measure(Scene(), frequency=1e6).impedance
     assert data.frequency == 1e6
     assert np.asarray(data.impedance[0]) == pytest.approx(flat, rel=1e-6)
-
-
-def impedances_by_boxes(sigma: tuple[complex, complex], part: np.ndarray) -> np.ndarray:
-    """Impedances by triquadratic boxes of scikit-fem with complete electrodes on their faces.
-
-    `sigma` outside and inside the box `part`, (2, 3) [m], whose faces are faces of the mesh.
-    """
-    lines = (np.linspace(0.0, size, n) for size, n in ((0.04, 17), (0.02, 9), (0.004, 5)))
-    mesh, element = skfem.MeshHex.init_tensor(*lines), skfem.ElementHex2()
-    basis = skfem.Basis(mesh, element)
-    x = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
-    inside = ((part[0] < x) & (x < part[1])).all(axis=-1)
-    laplace = skfem.BilinearForm(lambda u, v, w: w.s * dot(grad(u), grad(v)), dtype=np.complex128)
-    A = laplace.assemble(basis, s=np.where(inside, sigma[1], sigma[0]))
-    columns, areas = [], []
-    for electrode in SMALL.electrodes:
-        axis = 0 if electrode.x in (0.0, 0.04) else 1  # of the side's normal
-        centre = np.array([electrode.x, electrode.y])[:, None]
-        room = np.where(np.arange(2) == axis, 1e-9, 0.005)[:, None]
-        facets = mesh.facets_satisfying(
-            lambda q, c=centre, r=room: (np.abs(q[:2] - c) < r).all(axis=0), boundaries_only=True
-        )
-        side = skfem.FacetBasis(mesh, element, facets=facets)
-        load = skfem.LinearForm(lambda v, _: v).assemble(side) / electrode.contact_impedance
-        mass = skfem.BilinearForm(lambda u, v, _: u * v).assemble(side)
-        A = A + mass / electrode.contact_impedance
-        columns.append(load)
-        areas.append(load.sum())
-    B = np.array(columns).T
-    per_potential = splu(csc_array(A)).solve(B.astype(np.complex128))
-    # A common potential drives no current, and is left out of the inverse.
-    return np.linalg.pinv(np.diag(areas) - B.T @ per_potential, rcond=1e-9)
-
-
-@pytest.mark.slow
-def test_a_box_within_the_layer_changes_what_other_elements_say() -> None:
-    """1 % of the change by a box from 1 to 3 mm, complex, and at two contrasts."""
-    part = np.array([[0.01, 0.005, 0.001], [0.02, 0.015, 0.003]])
-    low, high = part
-    middle, (length, width, _) = 0.5 * (low + high), high - low
-    outside, pair = MUSCLE.evaluate(40e3), Protocol.pairwise(4)
-    plain = pair.measure(ForwardModel(SMALL, "fast").impedance())
-    bare = pair.measure(impedances_by_boxes((outside, outside), part))
-    assert plain == pytest.approx(bare, rel=0.012)
-    for inside in (2.0 * outside, 100.0 * np.real(outside) - 0.1j):
-        box = Inclusion.box(*middle[:2], length, width, inside)
-        box = dataclasses.replace(box, low=low[2], high=high[2])
-        model = ForwardModel(SMALL, "fast", inclusions=[box])
-        change = pair.measure(model.impedance()) - plain
-        expected = pair.measure(impedances_by_boxes((outside, inside), part)) - bare
-        assert np.abs(change - expected).max() < 0.01 * np.abs(expected).max()
