@@ -117,9 +117,11 @@ def pipeline():
 @pytest.fixture
 def connection():
     """A board that is no board, for the live page."""
-    from page_fakes import FakeConnection
+    from eitskin.hardware import Connection
 
-    return FakeConnection()
+    from page_fakes import staged_board
+
+    return Connection(staged_board())
 
 
 @pytest.fixture

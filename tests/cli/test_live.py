@@ -21,12 +21,12 @@ from eitskin.datasets import ShardWriter, open_dataset
 from eitskin.errors import PartialError
 from eitskin.geometry import Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
-from eitskin.hardware import Connection, Counts, Reading
+from eitskin.hardware import Connection, Reading
 from eitskin.hardware.ros2 import skin_node
 from eitskin.simulator import Protocol, Status
 from eitskin.training import InputSpec, Zero
 
-from live_fakes import PROTOCOL, Estimate, FakePipeline, frame, run_command
+from live_fakes import PROTOCOL, Estimate, FakeBoard, FakePipeline, Info, frame, run_command
 
 BOARD = ("--board", "virtual:?speed=max")
 
@@ -99,13 +99,6 @@ def reading(number=0, **changes):
     return Reading(frame(number, **changes), Estimate(), 0.001, 3.0)
 
 
-class QuietBoard:
-    counts = Counts(reconnections=2)
-
-    def __init__(self):
-        self.info = types.SimpleNamespace(period=0.3)
-
-
 def shown(session):
     console = Console(width=100)
     with console.capture() as capture:
@@ -114,7 +107,7 @@ def shown(session):
 
 
 def test_nothing_old_is_shown_as_new_and_a_new_session_is_announced():
-    session = session_of(QuietBoard())
+    session = session_of(FakeBoard())
     session.take(reading())
     assert "nothing for" not in shown(session)
     session.clock = lambda: 50.8
@@ -122,11 +115,11 @@ def test_nothing_old_is_shown_as_new_and_a_new_session_is_announced():
     session.clock = lambda: 57.0
     session.connection.problem = "went away"
     assert "nothing for 7 s" in shown(session)
-    session.connection.board.info = types.SimpleNamespace(period=float("nan"))
+    session.connection.board.info = Info(period=float("nan"))
     session.clock = lambda: 1e6
     assert "nothing for" not in shown(session)  # of a board whose period is unknown
     session = session_of(
-        QuietBoard(), pipeline=types.SimpleNamespace(expected_magnitudes=np.full(28, 600.0))
+        FakeBoard(), pipeline=types.SimpleNamespace(expected_magnitudes=np.full(28, 600.0))
     )
     with session.output.notes.capture() as capture:
         for number in range(40):
@@ -163,7 +156,7 @@ def full_disk(monkeypatch):
 )
 def test_a_disk_that_fails_ends_only_the_recording(tmp_path, full_disk, files, readable, code):
     recording = Recording(ShardWriter(tmp_path / "r", frames_per_shard=4), tmp_path / "r")
-    session = session_of(QuietBoard(), recordings=[recording])
+    session = session_of(FakeBoard(), recordings=[recording])
     full_disk(files, code)
     with session.output.notes.capture() as capture:
         for number in range(11):
@@ -258,8 +251,8 @@ def test_every_reading_is_published_and_the_node_closed(run, monkeypatch):
 
 def test_the_service_takes_a_zero_of_the_session_s_kind():
     """Flat, unless the session's stored reference is of a mounted sensor."""
-    board, frames = QuietBoard(), [frame(0), frame(1)]
-    board.uri, board.info.uid = "serial:x", bytes(range(12))
+    frames = [frame(0), frame(1)]
+    board = FakeBoard(uri="serial:x", info=Info(uid=bytes(range(12))))
     pipeline = mock.Mock(stored_reference=None)
     session = session_of(board, pipeline=pipeline)
     assert session.tare(frames) == "zero: the sensor flat, mean of 2 frames"

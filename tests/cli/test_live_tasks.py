@@ -19,22 +19,15 @@ from eitskin.cli.page.commands import ConflictError
 from eitskin.datasets import open_dataset
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry import SensorDesign
-from eitskin.hardware import Connection, Counts, Reading, open_board, run_live
+from eitskin.hardware import Connection, Reading, open_board, run_live
 from eitskin.hardware.virtual import virtual_board
 from eitskin.latest import Latest
 from eitskin.simulator import Frame, Simulator
 from eitskin.training import Pipeline
 
-from live_fakes import PROTOCOL, Estimate, FakePipeline, run_command
+from live_fakes import PROTOCOL, Estimate, FakeBoard, FakePipeline, run_command
 
 OHM = np.linspace(400.0, 820.0, 28)
-
-
-class Board:
-    uri, protocol, stage, counts, lost = "fake:", PROTOCOL, None, Counts(), 0
-
-    def __init__(self):
-        self.info = types.SimpleNamespace(period=0.3, uid=b"")
 
 
 class TaredPipeline(FakePipeline):
@@ -54,7 +47,7 @@ class Running:
 
     def __init__(self, folder, pipeline):
         output = Output(quiet=True, notes=Console(width=200))
-        self.session = LiveSession(Connection(Board()), output, pipeline)
+        self.session = LiveSession(Connection(FakeBoard()), output, pipeline)
         self.numbers, self.bad = count(), []
         self.tasks = SessionTasks(self.session, folder, "fake.eitmodel")
 

@@ -13,11 +13,11 @@ import pytest
 from command_line import run
 
 from eitskin.errors import DeviceError, FrameError, UnusableFrameError
-from eitskin.hardware import Counts, LiveReadings, open_board, run_live
+from eitskin.hardware import LiveReadings, open_board, run_live
 from eitskin.hardware.live import DRIFT, AcquisitionClock
 from eitskin.simulator import Frame, Protocol
 
-from live_fakes import FakeBoard, FakePipeline, FakeSimulator, frame
+from live_fakes import FakeBoard, FakePipeline, FakeSimulator, Info, frame
 
 
 class Refusing(FakePipeline):
@@ -79,30 +79,9 @@ def test_every_frame_has_estimate_latency_and_rate_and_another_sensor_ends_the_l
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "robot.md"
 
 
-class Cable:
-    """Board whose frames the test hands out one by one; None unplugs it until it reconnects."""
-
-    counts, uri = Counts(), "cable:"
-
-    def __init__(self, *steps):
-        self.steps, self.closed, self.reconnected = list(steps), threading.Event(), 0
-        self.info = type("Info", (), {"period": 1e6})
-
-    def frames(self, newest=False):
-        assert newest
-        while self.steps:
-            step = self.steps.pop(0)
-            if step is None:
-                raise DeviceError("the cable is out")
-            yield step
-        self.closed.wait()  # silent, until it is closed
-        raise DeviceError("closed")
-
-    def reconnect(self):
-        self.reconnected += 1
-
-    def close(self):
-        self.closed.set()
+def silent(*steps):
+    """Board that says nothing after these steps, for as long as it is open."""
+    return FakeBoard(steps, silent=True, info=Info(period=1e6))
 
 
 class Slow(FakePipeline):
@@ -153,7 +132,7 @@ def test_lines_of_the_page_move_something_and_closing_ends_every_thread(monkeypa
 
 def test_a_slow_reader_gets_the_newest_and_never_a_stale_reading():
     pipeline = Slow()
-    with LiveReadings(Cable(*(frame(number) for number in range(6))), pipeline) as readings:
+    with LiveReadings(silent(*map(frame, range(6))), pipeline) as readings:
         each = iter(readings)
         assert next(each).frame.number == 0
         pipeline.may.release(5)
@@ -162,18 +141,19 @@ def test_a_slow_reader_gets_the_newest_and_never_a_stale_reading():
             last.append(next(each).frame.number)
         assert last == sorted(set(last))
         assert readings.newest.frame.number == 5
-    with LiveReadings(Cable(frame(0)), FakePipeline()) as readings:
+    with LiveReadings(silent(frame(0)), FakePipeline()) as readings:
         assert next(iter(readings)).frame.number == 0
         assert readings.newest.frame.number == 0
         readings._arrived -= 4e6  # more than three periods
         assert readings.newest is None
     assert readings.newest is None
-    board = Cable(frame(0), None, None, frame(1))
+    out = DeviceError("the cable is out")
+    board = silent(frame(0), out, out, frame(1))
     with LiveReadings(board, FakePipeline()) as readings:
         for reading in readings:
             if reading.frame.number == 1:
                 break
-        assert (board.reconnected, readings.problem) == (2, "")
+        assert (board.tries, readings.problem) == (2, "")
 
 
 def test_errors_of_functions_and_sessions_end_and_are_raised_where_read():
@@ -184,7 +164,7 @@ def test_errors_of_functions_and_sessions_end_and_are_raised_where_read():
         ended.set()
         raise ValueError("the gripper is stuck")
 
-    readings = LiveReadings(Cable(frame(0)), FakePipeline())
+    readings = LiveReadings(silent(frame(0)), FakePipeline())
     readings.call(function)
     assert ended.wait(300.0)
     with pytest.raises(ValueError, match="stuck"):
@@ -194,7 +174,7 @@ def test_errors_of_functions_and_sessions_end_and_are_raised_where_read():
     refusing = Refusing(FrameError("another sensor"), {0})
     with (
         pytest.raises(FrameError, match="another sensor"),
-        LiveReadings(Cable(frame(0)), refusing) as readings,
+        LiveReadings(silent(frame(0)), refusing) as readings,
     ):
         list(readings)
     assert readings.problem == "another sensor"

@@ -18,6 +18,7 @@ from eitskin.hardware.protocol.packets import FrameData, MessageType, Packet, en
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
 from eitskin.simulator import Scene
 
+from live_fakes import FakeBoard
 from loopback import FakeSimulator, Loopback, connected, firmware, take, virtual
 
 
@@ -142,24 +143,6 @@ def test_a_frame_of_another_length_is_dropped_and_an_old_answer_is_none(running)
 # ---- connection ----
 
 
-class Flaky:
-    """Board whose connections fail some times and whose streams end in an error."""
-
-    def __init__(self, streams, failures=0):
-        self.streams, self.failures, self.tries = iter(streams), failures, 0
-
-    def frames(self, newest=False):  # noqa: ARG002
-        for each in next(self.streams):
-            if isinstance(each, Exception):
-                raise each
-            yield each
-
-    def reconnect(self):
-        self.tries += 1
-        if self.tries <= self.failures:
-            raise DeviceError("not there yet")
-
-
 def test_frames_go_on_after_the_board_has_been_away():
     waits, reasons, gone = [], [], DeviceError("went away")
 
@@ -167,7 +150,7 @@ def test_frames_go_on_after_the_board_has_been_away():
         waits.append(seconds)
         reasons.append(connection.problem)
 
-    board = Flaky([[1, 2, gone], [gone], [3, gone], [4]], failures=7)
+    board = FakeBoard([1, 2, gone, gone, 3, gone, 4], failures=7)
     connection = Connection(board, wait=wait)
     assert list(connection.frames()) == [1, 2, 3, 4]
     assert board.tries == 10

@@ -70,7 +70,7 @@ def test_the_page_lists_every_key_in_its_order():
 
 
 def test_each_reading_is_one_datagram_and_silence_is_told(listener, udp):
-    connection = Connection(FakeBoard([]))
+    connection = Connection(FakeBoard())
     connection.problem = "the cable is out"
     with streams.ReadingPublisher(connection, [udp], heartbeat=0.02) as publisher:
         publisher.publish(reading(7))
@@ -155,14 +155,14 @@ def test_foreign_pages_may_not_listen_and_a_port_in_use_is_refused(served, liste
     for origin in ("http://evil.example", "http://127.0.0.1.evil.example", "null"):
         with pytest.raises(InvalidStatus, match="403"), connect(served.url, origin=origin):
             pass
-    port, connection = served.url.rpartition(":")[2].strip("/"), Connection(FakeBoard([]))
+    port, connection = served.url.rpartition(":")[2].strip("/"), Connection(FakeBoard())
     with pytest.raises(ConfigurationError, match=port):
         streams.open_publisher(connection, str(listener.getsockname()[1]), port)
 
 
 def test_both_outlets_send_the_same(listener):
     udp = str(listener.getsockname()[1])
-    with streams.open_publisher(Connection(FakeBoard([])), udp, "0") as publisher:
+    with streams.open_publisher(Connection(FakeBoard()), udp, "0") as publisher:
         publisher.publish(reading(7))
         assert publisher.addresses[0] == f"udp://127.0.0.1:{udp}"
         with connect(publisher.addresses[1]) as client:

@@ -1,5 +1,7 @@
 """Fake pipelines and boards for the live loop."""
 
+import threading
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 
@@ -9,6 +11,7 @@ from typer.testing import CliRunner
 
 from eitskin.cli.commands.live import command as live
 from eitskin.datasets import State
+from eitskin.errors import DeviceError
 from eitskin.hardware import Counts
 from eitskin.simulator import Frame
 from eitskin.training import Pipeline
@@ -45,17 +48,52 @@ class FakePipeline:
         return self.estimate
 
 
+NOTHING_LOST = Counts()
+
+
+@dataclass(frozen=True)
+class Info:
+    firmware: str = "fake"
+    period: float = 0.3
+    uid: bytes = b""
+
+
+@dataclass
 class FakeBoard:
-    """Frames from a list; remembers how it was asked."""
+    """Frames from steps, of which errors are raised; then the end, or silence until it is closed.
 
-    counts = Counts()
+    Remembers how it was asked, and may not be there for the first tries to reconnect.
+    """
 
-    def __init__(self, frames):
-        self._frames = frames
+    steps: Iterable = ()
+    silent: bool = False
+    failures: int = 0
+    uri: str = "fake:"
+    stage: object = None
+    info: Info = Info()
+    counts: Counts = NOTHING_LOST
+    protocol, lost, tries = PROTOCOL, 0, 0
+
+    def __post_init__(self):
+        self.steps, self.closed = iter(self.steps), threading.Event()
 
     def frames(self, newest=False):
         self.newest = newest
-        yield from self._frames
+        for step in self.steps:
+            if isinstance(step, Exception):
+                raise step
+            yield step
+        if self.silent:
+            self.closed.wait()
+            raise DeviceError("closed")
+
+    def reconnect(self):
+        self.tries += 1
+        if self.tries <= self.failures:
+            raise DeviceError("not there yet")
+
+    def close(self):
+        self.closed.set()
 
 
 def frame(number=0, **changes):

@@ -1,6 +1,5 @@
 """A board that the live page is of, and a browser that watches it."""
 
-import dataclasses
 import http.client
 import json
 import threading
@@ -16,17 +15,11 @@ from eitskin.hardware import Counts, Reading
 from eitskin.simulator import Frame, Protocol, Scene, Touch
 from eitskin.training import TouchEstimate
 
-from live_fakes import Estimate
+from live_fakes import Estimate, FakeBoard, Info
 
 PROTOCOL = Protocol.pairwise(8)
 DESIGN = SensorDesign.reference()
 JSON = {"Content-Type": "application/json"}
-
-
-@dataclasses.dataclass
-class Info:
-    firmware: str = "fake"
-    period: float = 1 / 30
 
 
 class FakeStage:
@@ -55,21 +48,10 @@ class FakeStage:
         self.faults = ()
 
 
-@dataclasses.dataclass
-class FakeBoard:
-    stage: FakeStage | None = dataclasses.field(default_factory=FakeStage)
-    uri: str = "virtual:"
-    protocol: Protocol = PROTOCOL
-    info: Info = dataclasses.field(default_factory=Info)
-    counts: Counts = dataclasses.field(
-        default_factory=lambda: Counts(frames=5, lost=2, dropped={"crc": 1})
-    )
-
-
-@dataclasses.dataclass
-class FakeConnection:
-    board: FakeBoard = dataclasses.field(default_factory=FakeBoard)
-    problem: str = ""
+def staged_board(**changes):
+    """A board with a stage, that has lost some frames."""
+    known = {"stage": FakeStage(), "uri": "virtual:", "info": Info(period=1 / 30)}
+    return FakeBoard(**known | {"counts": Counts(frames=5, lost=2, dropped={"crc": 1})} | changes)
 
 
 FakeEstimate = partial(

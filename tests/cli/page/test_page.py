@@ -22,7 +22,8 @@ from eitskin.hardware import Reading
 from eitskin.simulator import Frame
 from eitskin.training import TouchEstimate
 
-from page_fakes import DESIGN, PROTOCOL, FakeEstimate, Info, Stream, ask, port_of, post, reading
+from live_fakes import Info
+from page_fakes import DESIGN, PROTOCOL, FakeEstimate, Stream, ask, port_of, post, reading
 
 
 @pytest.fixture

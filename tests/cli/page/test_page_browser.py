@@ -12,19 +12,18 @@ from eitskin.cli.page.drawing import Region
 from eitskin.cli.page.live_page import LivePage, recorded_moments
 from eitskin.datasets import ShardWriter, State
 from eitskin.errors import ConfigurationError
-from eitskin.hardware import ReplayBoard
+from eitskin.hardware import Connection, ReplayBoard
 from eitskin.training import TouchEstimate
 
 from chromium import Size, Tab, chromium
+from live_fakes import Info
 from page_fakes import (
     DESIGN,
-    FakeBoard,
-    FakeConnection,
     FakeEstimate,
     FakeSession,
-    Info,
     port_of,
     reading,
+    staged_board,
 )
 
 pytestmark = pytest.mark.slow
@@ -172,10 +171,10 @@ def test_the_bent_sheet_shows_and_takes_touches_at_their_places(browser, served)
 
 def test_text_of_boards_and_files_is_shown_as_text(browser, session):
     tag = "<script>window.broken = 1</script><img src=x onerror='window.broken = 1'>"
-    board = FakeBoard(uri=f"replay:{tag}", info=Info(firmware=tag))
+    board = staged_board(uri=f"replay:{tag}", info=Info(firmware=tag))
     session.task = task("working", tag)
     with (
-        LivePage(FakeConnection(board), DESIGN, session=session) as page,
+        LivePage(Connection(board), DESIGN, session=session) as page,
         opened(browser, page.url) as tab,
     ):
         watched(tab)
@@ -268,7 +267,7 @@ def test_it_comes_back_after_the_board_and_after_the_server(browser, connection)
             show(page, tab, reading(2))
             assert tab.run("document.body.dataset.link") == "live"
         tab.until("document.body.dataset.link === 'lost'")
-        page = stack.enter_context(LivePage(FakeConnection(), DESIGN, port=port))
+        page = stack.enter_context(LivePage(Connection(staged_board()), DESIGN, port=port))
         while not page.server.watching:
             tab.run("1")
         show(page, tab, reading(3))

@@ -22,26 +22,26 @@ from eitskin.cli.page.server import (
 )
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend
+from eitskin.hardware import Connection
 from eitskin.simulator import Scene, Touch
 
 from page_fakes import (
     DESIGN,
     JSON,
-    FakeBoard,
-    FakeConnection,
     FakeSession,
     Stream,
     ask,
     port_of,
     post,
     reading,
+    staged_board,
 )
 
 
 @pytest.fixture(scope="module")
 def unchanged():
     """The connection of `refusing`."""
-    return FakeConnection()
+    return Connection(staged_board())
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +148,7 @@ def test_faults_and_episodes_begin_and_end(page, connection):
 
 
 def test_a_real_board_cannot_be_commanded() -> None:
-    with LivePage(FakeConnection(FakeBoard(stage=None, uri="serial:/dev/x")), DESIGN) as page:
+    with LivePage(Connection(staged_board(stage=None, uri="serial:/dev/x")), DESIGN) as page:
         for path, data in (("/scene", {}), ("/fault", {"clear": True}), ("/play", {"play": True})):
             assert post(page, path, data)[0] == 409
         stream = Stream(page)

@@ -29,7 +29,7 @@ from eitskin.simulator import Frame, Mechanics, Touch
 from eitskin.simulator.bends import bend_table
 from eitskin.simulator.deformation.touches import sketched_dents
 
-from page_fakes import DESIGN, PROTOCOL, FakeBoard
+from page_fakes import DESIGN, PROTOCOL, staged_board
 
 
 def decoded(text, unit):
@@ -125,7 +125,7 @@ def test_a_body_from_a_file_is_drawn_with_its_electrodes(tmp_path) -> None:
     assert np.allclose([region.low, region.high], [(0.17, 0.07), (0.23, 0.13)], atol=1e-4)
     beside = b'{"touches": [{"x": 0.172, "y": 0.072, "force": 5}]}'  # in the rectangle's corner
     with pytest.raises(ConfigurationError, match="above the body"):
-        stage_commands(FakeBoard(), design)["/scene"](beside)
+        stage_commands(staged_board(), design)["/scene"](beside)
     points = decoded(
         base64.b64decode(GelDrawing.from_design(design).as_dict()["points"]), 2 * 0.06 / 32000
     )
