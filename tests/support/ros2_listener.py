@@ -28,21 +28,6 @@ DEFINITIONS = """
 builtin_interfaces/msg/Time: int32 sec, uint32 nanosec
 std_msgs/msg/Header: Time stamp, string frame_id
 std_msgs/msg/String: string data
-std_msgs/msg/MultiArrayDimension: string label, uint32 size, uint32 stride
-std_msgs/msg/MultiArrayLayout: MultiArrayDimension[] dim, uint32 data_offset
-std_msgs/msg/Float64MultiArray: MultiArrayLayout layout, float64[] data
-sensor_msgs/msg/JointState: Header header, string[] name, float64[] position, float64[] velocity,
-    float64[] effort
-sensor_msgs/msg/Image: Header header, uint32 height, uint32 width, string encoding,
-    uint8 is_bigendian, uint32 step, uint8[] data
-sensor_msgs/msg/PointField: string name, uint32 offset, uint8 datatype, uint32 count
-sensor_msgs/msg/PointCloud2: Header header, uint32 height, uint32 width, PointField[] fields,
-    bool is_bigendian, uint32 point_step, uint32 row_step, uint8[] data, bool is_dense
-geometry_msgs/msg/Vector3: float64 x, float64 y, float64 z
-geometry_msgs/msg/Quaternion: float64 x, float64 y, float64 z, float64 w
-geometry_msgs/msg/Transform: Vector3 translation, Quaternion rotation
-geometry_msgs/msg/TransformStamped: Header header, string child_frame_id, Transform transform
-tf2_msgs/msg/TFMessage: TransformStamped[] transforms
 diagnostic_msgs/msg/KeyValue: string key, string value
 diagnostic_msgs/msg/DiagnosticStatus: byte level, string name, string message, string hardware_id,
     KeyValue[] values
@@ -84,11 +69,6 @@ def message_types():
 TYPES = message_types()
 TOPICS = {
     "rt/{}/sensor": "String",
-    "rt/{}/impedance": "Float64MultiArray",
-    "rt/{}/bend": "JointState",
-    "rt/{}/touch_map": "Image",
-    "rt/{}/touches": "PointCloud2",
-    "rt/tf": "TFMessage",
     "rt/diagnostics": "DiagnosticArray",
     "ros_discovery_info": "ParticipantEntitiesInfo",
 }
@@ -98,7 +78,6 @@ HEADER = b"\x00\x01"  # little-endian CDR of the first version, which ROS 2 read
 RELIABLE = Policy.Reliability.Reliable(max_blocking_time=duration(seconds=1))
 CDR = Policy.DataRepresentation(use_cdrv0_representation=True)
 DEFAULT = Qos(RELIABLE, Policy.Durability.Volatile, Policy.History.KeepLast(10), CDR)
-SENSOR_DATA = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(5), CDR)
 KEPT = Qos(RELIABLE, Policy.Durability.TransientLocal, Policy.History.KeepLast(1), CDR)
 
 
@@ -121,8 +100,7 @@ class Listener:
         self.heard = {kind: [] for kind in TOPICS.values()}
         self.readers = []
         for topic, kind in TOPICS.items():
-            profile = KEPT if topic in LATCHED else SENSOR_DATA if kind == "Image" else DEFAULT
-            self.read(topic.format(name), kind, profile)
+            self.read(topic.format(name), kind, KEPT if topic in LATCHED else DEFAULT)
 
     def read(self, topic, kind, profile=DEFAULT):
         reader = DataReader(
@@ -176,8 +154,6 @@ class Listener:
 
 def summary(listener, frames):
     """What was heard, as plain data."""
-    last = {name: samples[-1][1] for name, samples in listener.heard.items() if samples}
-    points, touch = last["PointCloud2"], last["TFMessage"].transforms[1]
     return {
         "stamps": [each.header.stamp.sec * 10**9 + each.header.stamp.nanosec for _, each in frames],
         "numbers": [
@@ -186,11 +162,6 @@ def summary(listener, frames):
         ],
         "status": [[s.level, s.name, s.message, s.hardware_id] for s in frames[-1][1].status],
         "sensor": [each.data for _, each in listener.heard["String"]],
-        "impedance": list(last["Float64MultiArray"].data),
-        "bend": [last["JointState"].name, list(last["JointState"].position)],
-        "image": bytes(last["Image"].data).hex(),
-        "points": [points.width, bytes(points.data).hex()],
-        "frames": [points.header.frame_id, touch.header.frame_id, touch.child_frame_id],
         "nodes": [
             {
                 "name": f"{node.node_namespace}/{node.node_name}",
