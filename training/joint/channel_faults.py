@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import combinations
 
 import numpy as np
@@ -226,6 +226,14 @@ def possible_faults(protocol: Protocol, flat: Array) -> PossibleFaults:
     A contact that changes is a resistance in series with every measurement whose current and
     voltage both pass through its electrode.
     """
+    faults, through = _faults_and_members(protocol)
+    share = np.nan_to_num(np.nanmedian(flat) / flat)[:, None]
+    return PossibleFaults(faults, np.concatenate([np.eye(len(flat)), through * share], axis=1))
+
+
+@lru_cache(maxsize=4)
+def _faults_and_members(protocol: Protocol) -> tuple[tuple[ChannelFault, ...], Array]:
+    """The faults of a protocol, and which measurements (C, n) each contact among them is in."""
     faults = [
         ChannelFault(f"measurement {label} does not fit the others", (i,))
         for i, label in enumerate(protocol.labels)
@@ -239,9 +247,7 @@ def possible_faults(protocol: Protocol, flat: Array) -> PossibleFaults:
         )
         for i, row in zip(shared.tolist(), through[:, shared].T, strict=True)
     ]
-    share = np.nan_to_num(np.nanmedian(flat) / flat)[:, None]
-    changes = np.concatenate([np.eye(len(flat)), through[:, shared] * share], axis=1)
-    return PossibleFaults(tuple(faults), changes)
+    return tuple(faults), through[:, shared].astype(float)
 
 
 def gross_fault(

@@ -362,8 +362,7 @@ class SpecimenModel:
         """Touch candidates at places (n, 2) [m] and the step nearest to an angle [deg]."""
         step = round(angle_deg / STEP_DEG)
         if step not in self._candidates:
-            force = self.response.response.ranges.middle_force
-            touches = np.column_stack([places, np.full(len(places), force)])
-            change = self.response(touches, step * STEP_DEG)
-            self._candidates[step] = TouchCandidates(places, force, change)
+            response, output = self.response.response, self.response.output
+            change = response.candidate_output(places, step * STEP_DEG) @ output.T
+            self._candidates[step] = TouchCandidates(places, response.ranges.middle_force, change)
         return self._candidates[step]

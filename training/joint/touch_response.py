@@ -166,6 +166,7 @@ class TouchResponse(StoredFields):
     _layers: tuple[Array, ...] = field(init=False, repr=False)  # weights (inputs, hidden), scaled
     _biases: tuple[Array, ...] = field(init=False, repr=False)
     _bias_by_angle: Array = field(init=False, repr=False)  # of the first layer [1/deg]
+    _candidates: dict[tuple[bytes, float], Array] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Fold the input scales into the first layer."""
@@ -176,6 +177,7 @@ class TouchResponse(StoredFields):
         object.__setattr__(self, "_layers", tuple(map(np.ascontiguousarray, layers)))
         object.__setattr__(self, "_biases", biases)
         object.__setattr__(self, "_bias_by_angle", first[:, 3] / _ANGLE_SCALE)
+        object.__setattr__(self, "_candidates", {})
 
     def hidden_output(self, touches: Array, angle_deg: ArrayLike) -> Array:
         """Input of the last layer, [h, 1] F / F0 scale (..., hidden + 1), for touches (..., 3)."""
@@ -187,6 +189,17 @@ class TouchResponse(StoredFields):
             hidden = before * expit(before)
         factor = self.unit * touches[..., 2:]
         return np.concatenate([factor * hidden, factor], axis=-1)
+
+    def candidate_output(self, places: Array, angle_deg: float) -> Array:
+        """`hidden_output` of touches of the middle force at places (n, 2) [m].
+
+        Kept, since it is the same for all specimens.
+        """
+        key = places.tobytes(), angle_deg
+        if key not in self._candidates:
+            touches = np.column_stack([places, np.full(len(places), self.ranges.middle_force)])
+            self._candidates[key] = self.hidden_output(touches, angle_deg)
+        return self._candidates[key]
 
     @classmethod
     def none(cls, features: int, channels: int, size: tuple[float, float]) -> "TouchResponse":

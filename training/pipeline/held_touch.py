@@ -154,15 +154,23 @@ class HeldTouch:
         self._frames.extend(frames)
         self._speed, self._moving = 0.0, MOVING
 
-    def shows(self, mean: Voltages, count: int, before: Voltages, earlier: int) -> float:
-        """How clearly a mean of frames differs from one of earlier frames, over what is usual."""
-        change = relative_difference(mean, before)
-        known = change[np.isfinite(change)]
-        if not len(known):
-            return 0.0
-        variance = self.variance * (1.0 / count + 1.0 / earlier)
-        square = float(known @ known) / (len(known) * variance)
-        return (square - 1.0) / (ONSET * self._deviation(len(known)))
+    def shows(
+        self,
+        means: Voltages,
+        counts: NDArray[np.intp],
+        before: Voltages,
+        earlier: NDArray[np.intp],
+    ) -> NDArray[np.float64]:
+        """How clearly means of frames differ from those of earlier ones, over what is usual (n,).
+
+        Means (n, measurements) [ohm] of as many frames as `counts` and `earlier` (n,) say.
+        """
+        change = relative_difference(means, before)
+        known = np.isfinite(change)
+        channels = np.maximum(np.count_nonzero(known, axis=1), 1)
+        square = np.sum(np.where(known, change, 0.0) ** 2, axis=1) / channels
+        excess = square / (self.variance * (1.0 / counts + 1.0 / earlier)) - 1.0
+        return np.where(known.any(axis=1), excess / (ONSET * self._deviation(channels)), 0.0)
 
     @property
     def latest(self) -> list[Voltages]:
@@ -191,12 +199,12 @@ class HeldTouch:
         self.variance = self._untouched = 0.5 * self.noise**2
         self.lag = np.zeros(0)
 
-    def _deviation(self, channels: int) -> float:
+    def _deviation(self, channels: NDArray[np.intp]) -> NDArray[np.float64]:
         """Relative deviation of the mean square over channels, larger where these share noise."""
-        alone = float(np.sqrt(2.0 / channels))
+        alone: NDArray[np.float64] = np.sqrt(2.0 / channels)
         if len(self._scatter) < 10:
             return alone
-        return max(1.5 * median(abs(s / self.variance - 1.0) for s in self._scatter), alone)
+        return np.maximum(1.5 * median(abs(s / self.variance - 1.0) for s in self._scatter), alone)
 
     def _still(self) -> int:
         """Number of the latest frames whose channels show no motion."""
@@ -204,7 +212,7 @@ class HeldTouch:
         count, good = 1, np.isfinite(rows).all(axis=0)
         if len(rows) < 2 or not good.any():
             return 1
-        rows, deviation = rows[:, good], self._deviation(int(good.sum()))
+        rows, deviation = rows[:, good], float(self._deviation(good.sum()))
         for n in range(2, len(rows) + 1):
             weight = n * (n * n - 1) / 12.0  # sum of squared times
             slope = (np.arange(n) - 0.5 * (n - 1)) @ rows[-n:]

@@ -2,6 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
@@ -304,16 +305,19 @@ class Session:
         else:
             latest = [*(each.voltages for each in self._earlier), voltages]
             earlier = [*(each.dynamic for each in self._earlier), self.dynamic]
-        best, count, total = 0.0 if self._suspected else 1.0, 1, np.zeros_like(voltages)
-        for n in range(1, min(len(latest), MAX_HELD_FRAMES) + 1):
-            total = total + latest[-n]
-            before = earlier[-n]
-            if before.count < MIN_EARLIER:
-                break
-            shown = self._held.shows(total / n, n, before.mean, before.count)
-            if shown > best:
-                best, count = shown, n
-        return count
+        most = min(len(latest), MAX_HELD_FRAMES)
+        latest, earlier = latest[: -most - 1 : -1], earlier[: -most - 1 : -1]
+        earlier = list(takewhile(lambda each: each.count >= MIN_EARLIER, earlier))
+        if not earlier:
+            return 1
+        counts = np.arange(1, len(earlier) + 1)
+        sums: Voltages = np.cumsum(latest[: len(earlier)], axis=0, dtype=np.complex128)
+        means = sums / counts[:, None]
+        references = np.array([each.mean for each in earlier])
+        reference_counts = np.array([each.count for each in earlier])
+        shown = self._held.shows(means, counts, references, reference_counts)
+        best = int(shown.argmax())
+        return best + 1 if shown[best] > (0.0 if self._suspected else 1.0) else 1
 
     def with_hidden(self, voltages: Voltages, observed: Observations) -> Observations | None:
         """Observations of a frame whose touches are there yet, though a bend hides them.
