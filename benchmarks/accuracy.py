@@ -2,8 +2,9 @@
 
 Two errors on the reference sensor: of the 28 flat resistances, and of their change under smooth
 touch-sized drops of conductivity, the signal; each against a reference far finer, whose own error
-is known. Times are per frame of 28 after meshing, of one core. Besides, errors of the signals of
-bent and pressed sensors, by the named resolutions.
+is known. Times are per frame of 28 after meshing, of one core. Besides, by the named resolutions,
+errors of the signals of bent and pressed sensors, and of resistances between other electrodes than
+those of full height, against cosine modes.
 """
 
 import time
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.benchmarks import forward_models as models
+from eitskin.benchmarks.cosine_box import box_impedance
 from eitskin.benchmarks.forward_models import ModelCase, Truth, judge, model_frame
 from eitskin.benchmarks.results import (
     Columns,
@@ -27,8 +29,12 @@ from eitskin.benchmarks.results import (
 )
 from eitskin.geometry.deformation.fixtures import Bend, Hinge
 from eitskin.geometry.deformation.kinematics import Displaced
+from eitskin.geometry.design.electrode import Electrode
+from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry.design.regular_layouts import grid, uniform
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
+from eitskin.geometry.meshing.mesh_design import CellKind
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution, discretisation
@@ -87,6 +93,7 @@ SHEARS: Mapping[str, Displaced] = {
 BENDS = {f"bend {angle:g}": Scene(Bend(angle)) for angle in (50.0, -20.0)}
 SCENES: Mapping[str, Scene | Displaced] = {**BENDS, **PRESSES, **SHEARS}
 QUICK_SCENES = ("bend 50", "10 N", "sheared along x")
+QUICK_ELECTRODES = ("full height", "on top")
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,6 +155,58 @@ def compare_deformed(quick: bool) -> list[DeformedCase]:
         }
         rows.append(DeformedCase(name, float(np.median(times)), errors))
     return rows
+
+
+def electrode_designs() -> dict[str, tuple[SensorDesign, CellKind]]:
+    """Small sensors with electrodes on the side, on top, at the bottom and inside, and cells."""
+    sheet, size = Rectangle(0.060, 0.030), 0.006
+    side, inside = uniform(sheet, 4), grid(sheet, 1, 2, size, on="inside", z=0.002)
+    low = tuple(replace(each, height=1e-3 * (1 + k)) for k, each in enumerate(side))
+    pads = [grid(sheet, 1, 2, size, on=face) for face in ("top", "bottom")]
+    kinds: dict[str, tuple[tuple[Electrode, ...], CellKind]] = {
+        "full height": (side, "hexahedra"),
+        "1 to 4 mm high": (low, "hexahedra"),
+        "1 to 4 mm high, prisms": (low, "prisms"),
+        "on top": (grid(sheet, 2, 2, size), "hexahedra"),
+        "on top and at the bottom": (pads[0] + pads[1], "hexahedra"),
+        "on the side and on top": (side + pads[0], "hexahedra"),
+        "on the side and inside": (side + inside, "hexahedra"),
+    }
+    return {
+        name: (SensorDesign(sheet, 0.005, some), cells) for name, (some, cells) in kinds.items()
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class ElectrodeCase:
+    """Largest relative errors of resistances between electrodes of one kind.
+
+    Attributes:
+        name: kind of electrodes.
+        reference_error: difference of cosine modes with fewer polynomials.
+        errors: errors by resolution.
+        unknowns: unknowns by resolution.
+    """
+
+    name: str
+    reference_error: float
+    errors: dict[Resolution, float]
+    unknowns: dict[Resolution, int]
+
+
+def compare_electrodes(name: str, quick: bool) -> ElectrodeCase:
+    """Errors of one of `electrode_designs` by resolutions, against cosine modes of the box."""
+    design, cells = electrode_designs()[name]
+    measure = Protocol.pairwise(len(design.electrodes)).measure
+    exact, fewer = (measure(box_impedance(design, count)).real for count in (9, 7))
+    errors, unknowns = {}, {}
+    names: tuple[Resolution, ...] = ("fast",) if quick else ("fast", "standard")
+    for resolution in names:
+        model = ForwardModel(design, resolution, cells=cells)
+        found = measure(model.impedance()).real
+        errors[resolution] = float(np.abs(found / exact - 1.0).max())
+        unknowns[resolution] = model.unknowns
+    return ElectrodeCase(name, float(np.abs(fewer / exact - 1.0).max()), errors, unknowns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,6 +312,8 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
         results = [measure(case, truth) for case in watch("models", cases)]
         duels = [compare(case, truth) for case in watch("pyEIT", peers)]
         (deformed,) = (compare_deformed(each) for each in watch("bent and pressed", [quick]))
+        kinds = QUICK_ELECTRODES if quick else tuple(electrode_designs())
+        electrodes = [compare_electrodes(kind, quick) for kind in watch("electrodes", kinds)]
     points = [*results, *(own for own, _ in duels), *(other for _, other in duels)]
     by_family: dict[str, list[ModelResult]] = {}
     for point in points:
@@ -288,6 +349,11 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
         for kind, some in {"presses": PRESSES, "shears": SHEARS}.items():
             largest = max((errors[scene] for scene in errors if scene in some), default=np.nan)
             figures[f"{name}.largest of {kind}"] = largest
+    for each in electrodes:
+        figures[f"electrodes {each.name}.reference_error"] = each.reference_error
+        for resolution, error in each.errors.items():
+            figures[f"electrodes {each.name}, {resolution}.resistance_error"] = error
+            figures[f"electrodes {each.name}, {resolution}.unknowns"] = each.unknowns[resolution]
     panels = {
         title: {
             family: [(1e3 * p.frame_seconds, getattr(p, quantity)) for p in some]
@@ -302,6 +368,16 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
         tables=[
             ReportTable.from_rows(rows, _COLUMNS, 2),
             ReportTable(("signal errors", *(row.name for row in deformed)), scenes),
+            ReportTable(
+                ("electrodes", "cosine modes, fewer", *electrodes[0].errors),
+                [
+                    (
+                        row.name,
+                        *(f"{value:.1e}" for value in (row.reference_error, *row.errors.values())),
+                    )
+                    for row in electrodes
+                ],
+            ),
         ],
         sentences=sentences,
         plots={"accuracy.png": partial(plot_errors, panels=panels, x=x, y=y)},

@@ -54,12 +54,22 @@ _COLUMNS = {
 _PADS = _COLUMNS | {"fast": _ResolutionSettings((3, 3, 2, 1), 0.2, 0.1, 2.0, 0.62)}
 # Electrodes on the side lower than the layer, over whose height currents turn: all parts along the
 # height have the same order. The growth of cells decides about the error, the finest cell hardly.
-_LEVELS = {
-    "coarse": _ResolutionSettings((3, 3, 3), 0.64, 0.136, 3.0, 0.85),
-    "fast": _ResolutionSettings((3, 3, 3), 0.32, 0.136, 2.0, 0.85),
-    "standard": _ResolutionSettings((4, 4, 4), 0.32, 0.11, 2.0, 0.68, 6),
-    "fine": _ResolutionSettings((4, 4, 4, 4), 0.2, 0.1, 2.0, 0.6, 6),
+_LOW: dict[CellKind, dict[str, _ResolutionSettings]] = {
+    "hexahedra": {
+        "coarse": _ResolutionSettings((3, 3, 3), 0.64, 0.136, 3.0, 0.85),
+        "fast": _ResolutionSettings((3, 3, 3), 0.32, 0.136, 2.0, 0.85),
+        "standard": _ResolutionSettings((4, 4, 4), 0.32, 0.11, 2.0, 0.68, 6),
+        "fine": _ResolutionSettings((4, 4, 4, 4), 0.2, 0.1, 2.0, 0.6, 6),
+    },
+    "prisms": {
+        "coarse": _ResolutionSettings((3, 3, 3), 0.32, 0.23, 3.0, 1.4),
+        "fast": _ResolutionSettings((3, 3, 3), 0.16, 0.16, 2.0, 0.89),
+        "standard": _ResolutionSettings((4, 4, 4), 0.16, 0.15, 2.0, 0.89, 6),
+        "fine": _ResolutionSettings((4, 4, 4, 4), 0.1, 0.1, 2.0, 0.62, 6),
+    },
 }
+# Their finest cell upwards, relative to the lowest electrode.
+_FINEST_LEVEL = {"coarse": 0.64, "fast": 0.32, "standard": 0.32, "fine": 0.2}
 # Triangles are refined around electrode edges only, not along whole lines, and can be finer.
 _PRISMS = {
     "coarse": _ResolutionSettings((4, 3, 2), 0.12, 0.23, 1.7, 1.4),
@@ -153,18 +163,15 @@ def discretisation(
         raise ConfigurationError(
             f"resolution must be one of {', '.join(get_args(Resolution))}, got '{resolution}'"
         )
-    named = _SETTINGS_BY_NAME[cells][resolution]
-    if cells == "hexahedra" and not _on_sides(design):
-        named = _PADS[resolution]
-    elif cells == "hexahedra" and level_edges(design):
-        named = _LEVELS[resolution]
+    named, level = _SETTINGS_BY_NAME[cells][resolution], None
     widths = [e.width for e in design.electrodes]
     heights = [e.height for e in design.electrodes if e.height is not None]
-    level = None
-    if named in _LEVELS.values():
-        level = named.finest * min(heights)
+    if cells in _LOW and _on_sides(design) and level_edges(design):
+        named, level = _LOW[cells][resolution], _FINEST_LEVEL[resolution] * min(heights)
     else:
         widths += heights
+    if cells == "hexahedra" and not _on_sides(design):
+        named = _PADS[resolution]
     largest = named.coarsest * min(design.outline.length, design.outline.width)
     largest = min(largest, named.per_press * press_length(design, Cylinder()))
     if indenter is not None:
