@@ -7,7 +7,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -32,6 +32,7 @@ class CaseValues:
         error: relative, against a closed form, or outside rigorous bounds.
         reached: progress, in words.
         reason: why it went no further.
+        figures: numbers of this case that pages show, by their headings.
     """
 
     residual: float | None = None
@@ -39,6 +40,7 @@ class CaseValues:
     error: float | None = None
     reached: str = ""
     reason: str = ""
+    figures: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

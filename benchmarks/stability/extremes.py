@@ -8,6 +8,7 @@ of "standard". It is right within the error that the simulator states for it.
 import dataclasses
 from collections.abc import Iterator
 from functools import partial
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.fitted_plan import Contact
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.mechanics.stack_mesh import Fineness, stack_mesh
+from eitskin.simulator.scene.scene import AnyIndenter
 
 Array = NDArray[np.float64]
 
@@ -41,32 +43,44 @@ _UNSTATED = 0.10  # error that is right where the simulator states none
 
 
 def extremes(quick: bool) -> Iterator[Case]:
-    """Cases of a press each on a small sensor, and on the reference sensor bent by its plates."""
-    gel, cylinder = Mechanics().gel.shear_modulus, Cylinder()
+    """Cases of a press each on a small sensor, and on the reference sensor bent by its plates.
+
+    Covers, moduli and indenters are extreme singly and together; with all three at once no press
+    was ever compared, and each is refused.
+    """
+    modulus, mechanics = Mechanics().gel.shear_modulus, Mechanics()
     thin = dataclasses.replace(_SENSOR, encapsulated_thickness=0.0056)
-    soft, stiff = (Mechanics(encapsulation=NeoHookean(k * gel)) for k in (0.01, 100.0))
-    small = Touch(*_PLACE, 0.2, Sphere(0.001))
-    flat = {
-        "cover of 0.3 mm": (thin, Mechanics(), Touch(*_PLACE, 3.0, cylinder)),
-        "gel 100 times as stiff as its cover": (_SENSOR, soft, Touch(*_PLACE, 1.0, cylinder)),
-        "cover 100 times as stiff as its gel": (_SENSOR, stiff, Touch(*_PLACE, 10.0, cylinder)),
-        "cover of 0.3 mm, 100 times as stiff": (thin, stiff, Touch(*_PLACE, 5.0, cylinder)),
-        "ball of 2 mm": (_SENSOR, Mechanics(), small),
-        "ball of 2 mm, cover of 0.3 mm": (thin, Mechanics(), small),
+    soft, stiff = (Mechanics(encapsulation=NeoHookean(k * modulus)) for k in (0.01, 100.0))
+    covers = {"": _SENSOR, "cover of 0.3 mm": thin}
+    # With the forces of the cylinder and of the ball [N].
+    moduli = {
+        "": (mechanics, 3.0, 0.2),
+        "cover 100 times as stiff as the gel": (stiff, 5.0, 0.2),
+        "gel 100 times as stiff as the cover": (soft, 0.3, 0.02),
     }
-    for name, (design, mechanics, touch) in list(flat.items())[:1] if quick else flat.items():
-        solve = partial(_compare, design, mechanics, Scene(touches=(touch,)))
-        yield Case(name, solve, None, error_limit=_UNSTATED)
-    solve = partial(_compare, thin, stiff, Scene(touches=(small,)))
-    name = "ball of 2 mm, cover of 0.3 mm, 100 times as stiff"
-    yield Case(name, solve, "refused", "no touch compared")
+    flat: dict[str, tuple[SensorDesign, Mechanics, Touch]] = {}
+    for (cover, design), (ratio, (materials, *forces)) in product(covers.items(), moduli.items()):
+        indenters: dict[str, AnyIndenter] = {"": Cylinder(), "ball of 2 mm": Sphere(0.001)}
+        for (ball, indenter), force in zip(indenters.items(), forces, strict=True):
+            name = ", ".join(filter(None, (cover, ratio, ball)))
+            flat[name] = design, materials, Touch(*_PLACE, force, indenter)
+    del flat[""]
+    too_much = Touch(*_PLACE, 1.0, Cylinder())
+    flat["gel 100 times as stiff as the cover, 1 N"] = _SENSOR, soft, too_much
+    for name, (design, materials, touch) in flat.items():
+        if quick and name != "cover of 0.3 mm":
+            continue
+        solve = partial(_compare, design, materials, Scene(touches=(touch,)))
+        if name.count(",") == 2:
+            yield Case(name, solve, "refused", "was ever compared")
+        else:
+            yield Case(name, solve, None, error_limit=_UNSTATED)
     on_plates = dataclasses.replace(SensorDesign.reference(), support=Plates())
-    for x in () if quick else (0.045, 0.075):
-        scene = Scene(Bend(50.0), (Touch(x, 0.030, 12.0, cylinder),))
-        solve = partial(_compare, on_plates, Mechanics(), scene)
-        yield Case(
-            f"12 N at {1e3 * x:g} mm on plates at 50 deg", solve, None, error_limit=_UNSTATED
-        )
+    places = {} if quick else {"over a plate": 0.045, "over the gap": 0.075}
+    for place, x in places.items():
+        scene = Scene(Bend(50.0), (Touch(x, 0.030, 12.0, Cylinder()),))
+        solve = partial(_compare, on_plates, mechanics, scene)
+        yield Case(f"12 N {place} of plates at 50 deg", solve, None, error_limit=_UNSTATED)
 
 
 def _compare(design: SensorDesign, mechanics: Mechanics, scene: Scene) -> CaseValues:
@@ -87,8 +101,12 @@ def _compare(design: SensorDesign, mechanics: Mechanics, scene: Scene) -> CaseVa
     stated = _UNSTATED if press.signal_error is None else press.signal_error
     if not error <= stated:
         raise ArithmeticError(f"{error:.1%} off the finer solution, {stated:.0%} stated")
+    figures = {"refused": 0.0, "off a finer solution [%]": 100.0 * error}
+    if press.signal_error is not None:
+        figures["stated [%]"] = 100.0 * stated
     return CaseValues(
         error=error,
+        figures=figures | {"deep [mm]": 1e3 * press.depth},
         reached=f"{1e3 * press.depth:.2f} mm deep, {press.force:g} N, signal of "
         f"{np.abs(signal).max():.2g}, {error:.1%} off the finer solution, "
         + (press.caution or f"{stated:.0%} stated"),

@@ -31,6 +31,7 @@ def _designs() -> dict[str, SensorDesign]:
     pads = grid(_SHEET, 2, 4, 0.006, on="top") + grid(_SHEET, 2, 4, 0.006, on="bottom")
     unequal = tuple(replace(e, height=1e-3 * (1 + k % 4)) for k, e in enumerate(side))
     layers = tuple(Layer(1e-3 * mm, sigma) for mm, sigma in ((1, 0.1), (3, 1.0), (1, 5.0)))
+    low = tuple(replace(e, height=1e-3 * (1 + k % 4)) for k, e in enumerate(uniform(disc, 8)))
     return {
         "disc": SensorDesign(disc, _GEL, uniform(disc, 8)),
         "L": SensorDesign(angle, _GEL, uniform(angle, 8)),
@@ -42,7 +43,8 @@ def _designs() -> dict[str, SensorDesign]:
         "pads on top and bottom": SensorDesign(_SHEET, _GEL, pads),
         "three layers": SensorDesign(_SHEET, _GEL, side, layers=layers),
         "strip of 300 x 20 mm": SensorDesign(strip, _GEL, uniform(strip, 8)),
-        "heights of 1 to 4 mm": SensorDesign(_SHEET, _GEL, unequal),
+        "electrodes 1 to 4 mm high": SensorDesign(_SHEET, _GEL, unequal),
+        "disc, electrodes 1 to 4 mm high": SensorDesign(disc, _GEL, low),
     }
 
 
@@ -68,7 +70,10 @@ def _measure(design: SensorDesign) -> CaseValues:
     seconds = time.process_time() - began
     gigabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     fast = protocol.measure(ForwardModel(design, "fast").impedance()).real
+    error = float(np.abs(fast / R - 1.0).max())
+    figures = {"unknowns": model.unknowns, "s": seconds, "GB": gigabytes, "fast [%]": 100.0 * error}
     return CaseValues(
-        error=float(np.abs(fast / R - 1.0).max()),
+        error=error,
+        figures=figures,
         reached=f"{model.unknowns:,} unknowns, {seconds:.1f} s, {gigabytes:.2f} GB",
     )

@@ -16,6 +16,8 @@ from eitskin.benchmarks.stability.ordinary_designs import ordinary_designs
 from eitskin.benchmarks.stability.random_designs import random_designs
 from eitskin.threads import one_thread
 
+_SHOWN = ("extreme presses", "ordinary designs")  # families whose cases are figures, one by one
+
 
 def cases(seed: int, quick: bool) -> dict[str, Iterable[Case]]:
     """All cases, by family; quick ones are fewer and smaller, half a minute instead of ten."""
@@ -48,7 +50,12 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
             for family, some in cases(seed, quick).items()
             for case in watch(family, list(some))
         ]
+    own = {row["case"]: numbers for row in rows if (numbers := row.pop("figures"))}
+    own |= {
+        row["case"]: {"refused": 1.0} for row in rows if row["reason"] and row["family"] in _SHOWN
+    }
     figures = dict(_figures(rows)) | {"all.seconds": time.perf_counter() - began}
+    figures |= {f"{case} / {key}": each[key] for case, each in own.items() for key in each}
     wrong = [row for row in rows if row["outcome"] == "wrong"]
     remarks = ["wrong {family}, {case}: {reason}".format_map(row) for row in wrong]
     remarks += ["{family}, {case}: {reached}".format_map(row) for row in rows if row["reached"]]

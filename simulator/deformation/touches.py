@@ -298,7 +298,8 @@ def require_model(touches: tuple[Touch, ...], sensor: PressedSensor) -> None:
         reasons = uncompared_properties(touch.indenter, sensor)
         if len(reasons) > 2:  # beyond all three properties at once
             raise ConfigurationError(
-                f"no touch compared is like one with {', '.join(reasons)}; change one of these"
+                f"no press was ever compared that is like this one: {'; '.join(reasons)}. Bring "
+                "one of these within what was compared"
             )
     if touches and sensor.model == "tabulated" and not sensor.is_tabulable:
         outline = type(sensor.design.outline).__name__.lower()
@@ -436,11 +437,14 @@ def uncompared_properties(indenter: AnyIndenter, sensor: PressedSensor) -> list[
     reasons = []
     cover = 0.5 * (design.encapsulated_thickness - design.thickness) / design.thickness
     if cover < _MIN_COVER * (1.0 - _ALIKE):
-        reasons.append(f"a cover of {cover:.2g} times the gel's thickness, thinner than measured")
+        least = f"{_MIN_COVER:.2g} or more"
+        reasons.append(f"a cover of {cover:.2g} times the gel's thickness, {least} was compared")
     moduli = mechanics.encapsulation.shear_modulus / mechanics.gel.shear_modulus
     low, high = _MODULI
     if cover > 0.0 and not low * (1.0 - _ALIKE) <= moduli <= high * (1.0 + _ALIKE):
-        reasons.append(f"a cover {moduli:.3g} times as stiff as the gel, which was not measured")
+        within = f"{low:.2g} to {high:g} was compared"
+        reasons.append(f"a cover {moduli:.3g} times as stiff as the gel, {within}")
     if (radius := indenter.rims[1]) < _MIN_RADIUS * (1.0 - _ALIKE):
-        reasons.append(f"an indenter of {1e3 * radius:.2g} mm radius, smaller than measured")
+        least = f"{1e3 * _MIN_RADIUS:g} mm or more was compared"
+        reasons.append(f"an indenter of {1e3 * radius:.2g} mm radius, {least}")
     return reasons

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eitskin.benchmarks.results import read_results
-from eitskin.benchmarks.stability import bends, electrical, solids
+from eitskin.benchmarks.stability import bends, electrical, extremes, solids
 from eitskin.benchmarks.stability import run as stability
 from eitskin.benchmarks.stability.case import Case, CaseValues, judge
 from eitskin.benchmarks.stability.ordinary_designs import ordinary_designs
@@ -123,6 +123,14 @@ def test_extreme_sizes_contrasts_and_contacts_have_their_closed_forms_or_are_ref
     assert row["outcome"] in ("ok", "refused"), row["reason"]
 
 
+def test_presses_extreme_in_all_ways_are_refused_with_what_was_compared():
+    refused = [e for e in extremes.extremes(quick=False) if e.expected == "refused"]
+    assert len(refused) == 2
+    for case in refused:
+        row = judge(case)
+        assert (row["outcome"], "0.33 or more" in row["reason"]) == ("refused", True)
+
+
 def test_a_press_says_how_far_it_went_and_why_no_farther(monkeypatch):
     to_depth = AxisymmetricPress.to_depth
 
@@ -148,11 +156,15 @@ def test_any_design_gives_a_frame_or_a_refusal_that_follows_the_seed(seed):
 
 
 def test_the_command_writes_all_rows_and_ends_with_1_where_one_is_wrong(tmp_path, monkeypatch):
-    cases = [found(error=1e-5, reached="12 deg"), failing(REFUSAL, expected="refused")]
+    cases = [
+        found(error=1e-5, reached="12 deg", figures={"GB": 2.0}),
+        failing(REFUSAL, expected="refused"),
+    ]
     monkeypatch.setattr(stability, "cases", lambda *_: {"family": cases})
     words = ("bench", "stability", "--seed", "4", "--out", str(tmp_path))
     data = printed_json(*words)
     assert (data["figures"]["all.ok"], data["provenance"]["seed"]) == (1, 4)
+    assert data["figures"]["name / GB"] == 2.0
     _, *lines = (tmp_path / "stability" / "table.csv").read_text().splitlines()
     for rows in (data["rows"], list(csv.DictReader(lines))):
         assert [row["outcome"] for row in rows] == ["ok", "refused"]
