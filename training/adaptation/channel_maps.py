@@ -103,18 +103,16 @@ class KernelFeatures:
     factor: Array
 
     @classmethod
-    def choose(
-        cls, kernel: PlaceKernel, places: ArrayLike, most: int = MAX_PLACES
-    ) -> "KernelFeatures":
+    def choose(cls, kernel: PlaceKernel, places: ArrayLike) -> "KernelFeatures":
         """Choose places by a pivoted Cholesky factorisation (Harbrecht et al. 2012).
 
         Each step takes the place whose variance is explained worst, until `DROPPED_VARIANCE_SHARE`
-        of the sum is left or `most` places are chosen: memory is bounded however many places there
+        of the sum is left or `MAX_PLACES` are chosen: memory is bounded however many places there
         are.
         """
         points = np.asarray(places, dtype=float)
         left, described = kernel.variance(points), kernel.describe(points)
-        total, rows = float(left.sum()), np.zeros((min(most, len(points)), len(points)))
+        total, rows = float(left.sum()), np.zeros((min(MAX_PLACES, len(points)), len(points)))
         chosen: list[int] = []
         for step in range(len(rows)):
             best = int(np.argmax(left))

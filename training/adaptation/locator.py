@@ -8,6 +8,7 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import barycentric_interpolate
 from scipy.linalg import eigh
 
 from eitskin.geometry import DataError
@@ -211,12 +212,13 @@ class MapGrid(StoredFields):
             np.clip(np.floor(at[:, axis]).astype(int) - size[axis] // 2 + 1, 0, n - size[axis])
             for axis, n in enumerate((columns, rows))
         ]
-        weights = [_lagrange(at[:, axis] - starts[axis], size[axis]) for axis in (0, 1)]
-        mean = np.zeros((len(at), self.mean.shape[2]))
-        for i in range(size[1]):
-            for j in range(size[0]):
-                factor = (weights[1][:, i] * weights[0][:, j])[:, None]
-                mean += factor * self.mean[starts[1] + i, starts[0] + j]
+        weights = [  # of the nodes 0, 1, ... in the polynomial through them
+            barycentric_interpolate(np.arange(nodes), np.eye(nodes), at[:, axis] - starts[axis])
+            for axis, nodes in enumerate(size)
+        ]
+        y, x = (starts[axis][:, None] + np.arange(size[axis]) for axis in (1, 0))
+        near = self.mean[y[:, :, None], x[:, None]]
+        mean = np.einsum("ni,nj,nijk->nk", weights[1], weights[0], near, optimize=True)
         column, row = np.rint(at).astype(int).T
         return (
             mean,
@@ -298,16 +300,6 @@ def score(
     likelihood = -0.5 * (TAIL + len(whitened)) * np.log1p(square / TAIL) + 0.5 * log
     off = (s - prior[0]) ** 2 * weight
     return likelihood - 0.5 * off - 0.5 * np.log(mm + weight), s
-
-
-def _lagrange(t: Array, size: int) -> Array:
-    """Weights (n, size) of the nodes 0, 1, ... in the polynomial through them at t (n,)."""
-    nodes = np.arange(size)
-    weights = np.ones((len(t), size))
-    for i in nodes:
-        for j in nodes[nodes != i]:
-            weights[:, i] *= (t - j) / (i - j)
-    return weights
 
 
 class Locator(StoredFields, ABC):

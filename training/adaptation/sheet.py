@@ -18,6 +18,7 @@ from eitskin.training.adaptation.channel_maps import (
     Presses,
     concatenate,
 )
+from eitskin.training.method.input_spec import measurement_images
 from eitskin.training.reconstruction.pixel_grid import PixelGrid, linear_model
 
 Array = NDArray[np.float64]
@@ -94,11 +95,12 @@ class Sectors:
         )
         for n in turns:
             step = _permutation(places, n)
-            moved = [] if step is None else _permute_channels(protocol, step)
-            if moved and min(moved) >= 0:
+            table = np.array(protocol.table)
+            moved = None if step is None else measurement_images(table, step, polarity=True)
+            if moved is not None:
                 turned = [np.arange(len(protocol))]
                 for _ in range(n - 1):
-                    turned.append(np.array(moved)[turned[-1]])
+                    turned.append(moved[turned[-1]])
                 return cls(centre, np.array(turned))
         return None
 
@@ -164,18 +166,6 @@ def _permutation(places: Array, n: int) -> NDArray[np.int64] | None:
     nearest = away.argmin(axis=1)
     alike = away.min(axis=1).max() < TOLERANCE and len(set(nearest.tolist())) == len(places)
     return nearest if alike else None
-
-
-def _permute_channels(protocol: Protocol, step: NDArray[np.int64]) -> list[int]:
-    """Channel that each becomes when electrode e becomes step[e]; -1 where there is none.
-
-    With source and sink, and both sense leads, swapped at once, a measurement is the same.
-    """
-    rows = {row: at for at, row in enumerate(protocol.table)}
-    return [
-        rows.get((a, b, c, d), rows.get((b, a, d, c), -1))
-        for a, b, c, d in step[np.array(protocol.table)].tolist()
-    ]
 
 
 def _gains(quadratic: Array, presses: int) -> Array:

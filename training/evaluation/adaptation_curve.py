@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets import UNKNOWN_STATE, Dataset, State
+from eitskin.datasets import Dataset
 from eitskin.extras import require
 from eitskin.geometry import DataError
 from eitskin.training.adaptation.press_fit import (
@@ -23,7 +23,10 @@ from eitskin.training.adaptation.press_fit import (
 from eitskin.training.evaluation.scores import match_distances, root_mean_square
 from eitskin.training.method.known_frames import FLAT_DEG
 from eitskin.training.method.observations import Observations
+from eitskin.training.method.settings import single_touches
+from eitskin.training.method.targets import untouched_angles
 from eitskin.training.pipeline.pipeline import Pipeline
+from eitskin.training.twin.labelled_frames import evenly_spaced
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -103,7 +106,7 @@ def pipeline_curve(
     """
     gathered: Gathered = defaultdict(list)
     order = np.lexsort((np.arange(len(data)), data.time, data.episode))
-    labelled = order[(_is_bent_untouched(data) | (data.touch_count == 1))[order]]
+    labelled = order[(_is_bent(data) | (data.touch_count == 1))[order]]
     judged: Rows | None = None
     for chosen, tested in _trials(labelled, 1, progress):
         part, shown, mine = data.select(tested), data.select(chosen), replace(pipeline)
@@ -120,13 +123,9 @@ def pipeline_curve(
 
 
 def _pipeline_errors(pipeline: Pipeline, data: Dataset) -> Errors:
-    said, bent, touched = (
-        pipeline.perceive(data),
-        _is_bent_untouched(data),
-        np.flatnonzero(_has_single_touch(data)),
-    )
+    said, bent, touched = pipeline.perceive(data), _is_bent(data), single_touches(data)
     angles, distances = said.bend_angle_deg[bent] - data.bend_angle_deg[bent], [NOTHING]
-    if pipeline.targets.touches and touched.size:
+    if pipeline.targets.touches:
         for place, row in zip(touch_places(data, touched), touched, strict=True):
             matched = match_distances(place, said.touches[row].place[:1])
             distances.append(np.array(matched or [np.nan]))
@@ -137,16 +136,16 @@ def _forest_errors(shown: Dataset, data: Dataset) -> Errors:
     """Errors of regressions on changes, of angles from the flat sensor, of places by touches."""
     learned, tested = Observations.from_dataset(shown), Observations.from_dataset(data)
     angles = places = NOTHING
-    learning_rows, test_rows = _is_bent_untouched(shown), _is_bent_untouched(data)
+    learning_rows, test_rows = _is_bent(shown), _is_bent(data)
     if learning_rows.any() and test_rows.any():
         truth = shown.bend_angle_deg[learning_rows].astype(float)
         angles = _forest(learned.static[learning_rows], truth, tested.static[test_rows])
         angles = angles - data.bend_angle_deg[test_rows]
-    learning_rows, test_rows = _has_single_touch(shown), _has_single_touch(data)
-    if learning_rows.any() and test_rows.any():
-        truth = touch_places(shown, np.flatnonzero(learning_rows))
-        estimates = _forest(learned.dynamic[learning_rows], truth, tested.dynamic[test_rows])
-        places = np.linalg.norm(estimates - touch_places(data, np.flatnonzero(test_rows)), axis=1)
+    learned_touches, tested_touches = single_touches(shown), single_touches(data)
+    if len(learned_touches) and len(tested_touches):
+        truth = touch_places(shown, learned_touches)
+        estimates = _forest(learned.dynamic[learned_touches], truth, tested.dynamic[tested_touches])
+        places = np.linalg.norm(estimates - touch_places(data, tested_touches), axis=1)
     return angles, places
 
 
@@ -175,16 +174,9 @@ def _points(gathered: Gathered) -> tuple[CurvePoint, ...]:
     return tuple(points)
 
 
-def _has_single_touch(data: Dataset) -> NDArray[np.bool_]:
-    """Whether each frame (n,) has a single touch."""
-    return np.asarray(data.touch_count == 1)
-
-
-def _is_bent_untouched(data: Dataset) -> NDArray[np.bool_]:
+def _is_bent(data: Dataset) -> NDArray[np.bool_]:
     """Whether each frame (n,) is untouched and bent by a known angle."""
-    untouched = (data.state != State.TOUCH) & (data.state != UNKNOWN_STATE)
-    angle = np.nan_to_num(data.bend_angle_deg)
-    return np.asarray(untouched & (data.touch_count == 0) & (np.abs(angle) > FLAT_DEG))
+    return np.asarray(np.abs(untouched_angles(data)) > FLAT_DEG)
 
 
 def _trials(rows: Rows, fewest: int, progress: Progress) -> Iterator[tuple[Rows, Rows]]:
@@ -203,16 +195,9 @@ def _trials(rows: Rows, fewest: int, progress: Progress) -> Iterator[tuple[Rows,
     most = len(rows) - max(map(len, parts))
     counts = sorted({count for count in COUNTS if fewest <= count < most} | {most})
     for number, part in enumerate(parts):
-        rest, tested = np.setdiff1d(rows, part, assume_unique=True), _thin(part, MAX_BLOCK_FRAMES)
+        rest = np.setdiff1d(rows, part, assume_unique=True)
+        tested = part[evenly_spaced(len(part), MAX_BLOCK_FRAMES)]
         for step, count in enumerate(counts):
             progress(number * len(counts) + step, BLOCKS * len(counts))
-            yield _thin(rest, count), tested
+            yield rest[evenly_spaced(len(rest), count)], tested
     progress(BLOCKS * len(counts), BLOCKS * len(counts))
-
-
-def _thin(rows: Rows, count: int) -> Rows:
-    """At most so many of the rows, evenly spaced."""
-    if len(rows) <= count:
-        return rows
-    spaced: Rows = rows[np.linspace(0, len(rows) - 1, count).round().astype(int)]
-    return spaced

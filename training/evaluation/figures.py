@@ -1,6 +1,7 @@
 """Figures of a report: learning curves, states, bend angles, positions of touches, and images."""
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ MIN_SEQUENCE = 20  # frames
 MIN_ANGLE_CHANGE = 1.0  # deg, in a sequence that is worth drawing
 MAX_VECTORS = 240  # more would hide each other
 ANGLES_DEG = (-10.0, 0.0, 10.0, 20.0, 30.0, 40.0, 50.0)  # as in the paper, a single touch
-SEVERAL_DEG = 30.0  # and one to four touches
+COUNTED, SEVERAL_DEG = (1, 2, 3, 4), (30.0,)  # and one to four touches
 NOWHERE = np.zeros((0, 2))
 # the frame that is nearest to a wanted angle is shown where it is this near
 MAX_ANGLE_DIFFERENCE = 5.0
@@ -298,27 +299,6 @@ def draw_errors(errors: Array, caption: str) -> CaptionedFigure:
     return CaptionedFigure(figure, caption)
 
 
-def touch_maps_by_angle(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
-    """Touch maps of one touch at the angles of the paper that have frames near them."""
-    return _draw_touch_maps(
-        evaluation,
-        [(1, angle) for angle in ANGLES_DEG],
-        "One touch at several bend angles",
-        "no frame has exactly one touch of known position and radius at a known angle",
-    )
-
-
-def touch_maps_by_count(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
-    """Touch maps of one to four touches on the sensor bent by 30 deg."""
-    return _draw_touch_maps(
-        evaluation,
-        [(count, SEVERAL_DEG) for count in range(1, evaluation.dataset.touch_x.shape[1] + 1)],
-        f"One to four touches near {SEVERAL_DEG:g} deg",
-        f"no touched frame of known positions and radii is within {MAX_ANGLE_DIFFERENCE:g} deg of "
-        f"{SEVERAL_DEG:g} deg",
-    )
-
-
 def _nearest(evaluation: Evaluation, count: int, angle_deg: float) -> int | None:
     """Frame with `count` touches nearest to an angle; None beyond `MAX_ANGLE_DIFFERENCE`."""
     data = evaluation.dataset
@@ -329,17 +309,21 @@ def _nearest(evaluation: Evaluation, count: int, angle_deg: float) -> int | None
     return nearest if away[nearest] <= MAX_ANGLE_DIFFERENCE else None
 
 
-def _draw_touch_maps(
-    evaluation: Evaluation, wanted: Sequence[tuple[int, float]], title: str, missing: str
+def touch_map_images(
+    evaluation: Evaluation, counts: Sequence[int], angles_deg: Sequence[float]
 ) -> CaptionedFigure | NoFigure:
     """Grid of images, a column for each kind, a row for each frame nearest to a target.
 
-    Targets are numbers of touches and angles [deg]; `missing` is the reason where no frame is near.
+    Targets are numbers of touches at each angle [deg].
     """
-    near = dict.fromkeys(_nearest(evaluation, *each) for each in wanted)
+    near = dict.fromkeys(_nearest(evaluation, *each) for each in product(counts, angles_deg))
     rows = [row for row in near if row is not None]
+    touches = "one touch" if len(counts) == 1 else f"one to {len(counts)} touches"
     if not rows:
-        return NoFigure(missing)
+        return NoFigure(
+            f"no frame with {touches} of known position and radius is within "
+            f"{MAX_ANGLE_DIFFERENCE:g} deg of {' or '.join(f'{each:g}' for each in angles_deg)} deg"
+        )
     frames, design = evaluation.dataset.select(rows), evaluation.pipeline.layout.design
     maps = evaluation.predictions.touch_map[rows]
     pictures = images(evaluation.pipeline, frames, maps)
@@ -354,9 +338,9 @@ def _draw_touch_maps(
             panels.append(PicturePanel(words, design, None, scaled, _discs(frames, i), crosses))
     return CaptionedFigure(
         draw_panels(panels, len(pictures), shares=True),
-        f"{title}: the frame nearest to each angle, without selection, each image scaled to its "
-        "largest magnitude; reconstructions are against the flat sensor and against the bent one. "
-        f"Dashed: the true touches; crosses: the detected ones. {SSIM_DEFINITION}",
+        f"{touches.capitalize()}: the frame nearest to each angle, without selection, each image "
+        "scaled to its largest magnitude; reconstructions are against the flat sensor and against "
+        f"the bent one. Dashed: the true touches; crosses: the detected ones. {SSIM_DEFINITION}",
     )
 
 

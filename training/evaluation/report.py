@@ -17,7 +17,10 @@ from eitskin.geometry import ConfigurationError, PartialError
 from eitskin.training.evaluation.drawing import EXTRA, CaptionedFigure, NoFigure, style
 from eitskin.training.evaluation.evaluate import Evaluation, PositionScore, held_out_positions
 from eitskin.training.evaluation.figures import (
+    ANGLES_DEG,
+    COUNTED,
     MAX_VECTORS,
+    SEVERAL_DEG,
     bend_angles,
     bend_sequence,
     confusion_matrix,
@@ -28,8 +31,7 @@ from eitskin.training.evaluation.figures import (
     localisation_errors,
     loss_curves,
     pictures_by_count,
-    touch_maps_by_angle,
-    touch_maps_by_count,
+    touch_map_images,
 )
 from eitskin.training.evaluation.scores import SSIM_DEFINITION, Consistency, Report
 from eitskin.training.method.observations import fingerprint
@@ -41,8 +43,8 @@ PICTURES: Mapping[str, Callable[[Evaluation], CaptionedFigure | NoFigure]] = {
     "confusion.png": confusion_matrix,
     "bend_angle.png": bend_angles,
     "bend_sequence.png": bend_sequence,
-    "touch_maps_angles.png": touch_maps_by_angle,
-    "touch_maps_counts.png": touch_maps_by_count,
+    "touch_maps_angles.png": lambda evaluation: touch_map_images(evaluation, [1], ANGLES_DEG),
+    "touch_maps_counts.png": lambda evaluation: touch_map_images(evaluation, COUNTED, SEVERAL_DEG),
     "pictures.png": pictures_by_count,
     "error_vectors.png": error_vectors,
     "localisation_errors.png": localisation_errors,

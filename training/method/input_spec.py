@@ -82,7 +82,7 @@ def mirrors(design: SensorDesign, protocol: Protocol) -> tuple[Mirror, ...]:
             and distance.min(axis=1).max() < _TOLERANCE
             and shapes == [shapes[number] for number in partner]
         )
-        order = _order(np.array(protocol.table), partner) if same else None
+        order = measurement_images(np.array(protocol.table), partner) if same else None
         if order is not None:
             mirror_list.append(Mirror(flips, order, (length, width)))
     return tuple(mirror_list)
@@ -111,7 +111,7 @@ def electrode_orders(protocol: Protocol) -> Iterator[tuple[str, NDArray[np.int64
         orders.append((f"electrodes counted {way}from {first} on", counted))
     table = np.array(protocol.table)
     for name, partner in orders:
-        if (order := _order(table, partner)) is not None:
+        if (order := measurement_images(table, partner)) is not None:
             yield name, order
 
 
@@ -127,23 +127,27 @@ def _same_outline(design: SensorDesign, flips: tuple[bool, bool]) -> bool:
     return bool(np.array_equal(here, there))
 
 
-def _order(table: NDArray[np.int64], partner: NDArray[np.intp]) -> NDArray[np.int64] | None:
+def measurement_images(
+    table: NDArray[np.int64], partner: NDArray[np.intp], polarity: bool = False
+) -> NDArray[np.int64] | None:
     """Number of each measurement's image (m,) under partners of the electrodes.
 
     None where a protocol's table (m, 4) lacks one. Reversed polarities change the sign of a
-    measurement, not its magnitude.
+    measurement, not its magnitude; with `polarity` they make another measurement, unless source
+    and sink are swapped as well as both sense leads.
     """
-    codes, images = _codes(table, len(partner)), _codes(partner[table], len(partner))
+    codes, images = (_codes(each, len(partner), polarity) for each in (table, partner[table]))
     sorter = np.argsort(codes, kind="stable")
     order = sorter[np.searchsorted(codes[sorter], images, "right") - 1]
     return order if np.array_equal(codes[order], images) else None
 
 
-def _codes(table: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+def _codes(table: NDArray[np.int64], count: int, polarity: bool) -> NDArray[np.int64]:
     """Numbers (m,), the same for rows whose pairs of electrodes are the same in either order."""
-    low, high = np.moveaxis(np.sort(table.reshape(-1, 2, 2), axis=2), 2, 0)
-    drive, sense = (low * count + high).T
-    codes: NDArray[np.int64] = drive * count**2 + sense
+    pairs = table.reshape(-1, 2, 2)
+    drive, sense = (pairs.min(axis=2) * count + pairs.max(axis=2)).T
+    reversals = (pairs[..., 0] > pairs[..., 1]).sum(axis=1)
+    codes: NDArray[np.int64] = 2 * (drive * count**2 + sense) + polarity * (reversals % 2)
     return codes
 
 

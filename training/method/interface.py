@@ -1,5 +1,6 @@
 """Interface of a perception method, and what its adaptation to one sensor gives."""
 
+import json
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -78,7 +79,7 @@ class Calibration:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
-        return _plain(self)
+        return dict(json.loads(json.dumps(asdict(self))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,17 +151,7 @@ class Adaptation:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
-        return _plain(self)
-
-
-def _plain(values: Any) -> dict[str, Any]:
-    """Fields of a dataclass and of those in it, with lists for tuples."""
-    return asdict(
-        values,
-        dict_factory=lambda pairs: {
-            name: list(value) if isinstance(value, tuple) else value for name, value in pairs
-        },
-    )
+        return dict(json.loads(json.dumps(asdict(self))))
 
 
 class Method(ABC):

@@ -282,10 +282,6 @@ def _motions(most: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     return frames[:, 0], np.where(time > -frames, motion, 0.0)
 
 
-def _no_directions() -> NDArray[np.float64]:
-    return np.zeros((0, 0))
-
-
 @dataclass
 class EarlierTouches:
     """Touches of the latest touched frame.
@@ -297,8 +293,8 @@ class EarlierTouches:
 
     hidden: bool = False
     undecided: int = 0
-    _forces: NDArray[np.float64] = field(default_factory=_no_directions)
-    _bends: NDArray[np.float64] = field(default_factory=_no_directions)
+    _forces: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
+    _bends: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
     _anchor: Voltages = field(default_factory=lambda: np.zeros(0, np.complex128))
     _odds: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
@@ -328,10 +324,8 @@ class EarlierTouches:
         most = np.full(len(share), MOST_REST * noise)
         if len(self._bends) and np.all(rest >= most):
             # Directions that bends change as well are no evidence of a touch.
-            bends = self._bends[:, good]
-            both = np.vstack([change[good], self._forces[:, good]])
-            both -= np.linalg.lstsq(bends.T, both.T)[0].T @ bends
-            share, size, rest = self._weigh(both[0], both[1:])
+            _, left, forces = self._without_bends(change, good)
+            share, size, rest = self._weigh(left, forces)
             most = np.maximum(most, noise + EXPLAINED * share**2 * size)
         self._odds = np.minimum(self._odds + (2.0 * share - 1.0) * size / variance, 0.0)
         least_share = np.maximum(SHOWN * np.sqrt(variance / size), LEAST_SHARE)
@@ -339,6 +333,15 @@ class EarlierTouches:
         lingers &= rest < most
         self._forces, self._odds = self._forces[lingers], self._odds[lingers]
         return bool(lingers.any())
+
+    def _without_bends(
+        self, change: NDArray[np.float64], good: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Bends (b,) in a change (C,), and what they leave of it and of the touches (k, C)."""
+        both, bends = np.vstack([change[good], self._forces[:, good]]), self._bends[:, good]
+        shares = np.linalg.lstsq(bends.T, both.T)[0].T
+        both -= shares @ bends
+        return shares[0], both[0], both[1:]
 
     @staticmethod
     def _weigh(
@@ -368,12 +371,10 @@ class EarlierTouches:
             return None
         change, variance = relative_difference(voltages, self._anchor), 2.0 * variance
         good = np.isfinite(change)
-        both, bends = np.vstack([change[good], self._forces[:, good]]), self._bends[:, good]
-        shares = np.linalg.lstsq(bends.T, both.T)[0].T
-        bent = shares[0] @ bends
-        rest, *along = both - shares @ bends
-        size = np.einsum("kc,kc->k", along, along)
-        stays = size + 2.0 * np.array(along) @ rest  # twice the log odds, in variances
+        turns, rest, along = self._without_bends(change, good)
+        bent = turns @ self._bends[:, good]
+        # Twice the log odds, in variances.
+        stays = np.einsum("kc,kc->k", along, along) + 2.0 * along @ rest
         if bent @ bent < LEAST_BEND * variance:
             return None
         if rest @ rest > MOST_REST * len(rest) * variance or np.any(stays < LINGERING * variance):
@@ -382,5 +383,5 @@ class EarlierTouches:
             return None
         released = self._anchor * (1.0 - self._forces.sum(axis=0))
         self.hidden, self._anchor = True, voltages
-        reference: Voltages = released * (1.0 + shares[0] @ self._bends)
+        reference: Voltages = released * (1.0 + turns @ self._bends)
         return reference

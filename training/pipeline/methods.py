@@ -7,7 +7,7 @@ import re
 import shlex
 import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -239,40 +239,37 @@ def trained_parts(
     if method is not None:
         settings = replace(settings, method=method.KIND)
     if settings.method == POSITIONS:
-        return _positions_parts(dataset, settings, progress)
-    dataset, design, protocol = learnable(dataset)
-    seen, unseen, _ = settings.split(dataset)
-    train, validation = dataset.select(seen), dataset.select(unseen)
-    layout = InputSpec.from_dataset(train, design, protocol)
-    frames = TrainingFrames.from_dataset(train, layout, validation)
-    chosen = np.concatenate(
-        [np.flatnonzero(train.state == state)[:GOLDEN_PER_STATE] for state in State]
-    )
-    examples = frames.observations[chosen]
-    fitted = method_class(settings.method, method).fit(frames, settings, progress)
-    if method is not None:
-        require_sound(fitted, examples, layout, settings, FOREIGN)
-    return {
-        "layout": layout,
-        "method": fitted,
-        "noise": frames.noise,
-        "settings": settings,
-        "trained_on": {
-            "sha256": fingerprint(dataset),
-            "frames": len(train),
-            "specimens": len(np.unique(train.specimen)),
-            "source": dataset.source,
-        },
-        "examples": examples,
-        "flat_sensors": FlatSensors.from_dataset(train),
-        "usual": ReadingRange.fit(1.0 + frames.observations.static, reference=True),
-    }
+        train, facts, parts = _positions_parts(dataset, settings, progress)
+    else:
+        dataset, design, protocol = learnable(dataset)
+        seen, unseen, _ = settings.split(dataset)
+        train, validation = dataset.select(seen), dataset.select(unseen)
+        layout = InputSpec.from_dataset(train, design, protocol)
+        frames = TrainingFrames.from_dataset(train, layout, validation)
+        chosen = np.concatenate(
+            [np.flatnonzero(train.state == state)[:GOLDEN_PER_STATE] for state in State]
+        )
+        examples = frames.observations[chosen]
+        fitted = method_class(settings.method, method).fit(frames, settings, progress)
+        if method is not None:
+            require_sound(fitted, examples, layout, settings, FOREIGN)
+        facts = {"specimens": len(np.unique(train.specimen))}
+        parts = {
+            "layout": layout,
+            "method": fitted,
+            "noise": frames.noise,
+            "examples": examples,
+            "flat_sensors": FlatSensors.from_dataset(train),
+            "usual": ReadingRange.fit(1.0 + frames.observations.static, reference=True),
+        }
+    own = {"sha256": fingerprint(dataset), "frames": len(train), "source": dataset.source}
+    return {**parts, "settings": settings, "trained_on": {**own, **facts}}
 
 
 def _positions_parts(
     dataset: Dataset, settings: TrainingSettings, progress: Progress
-) -> dict[str, Any]:
-    """Attributes of one for positions of touches alone, of the recorded sensor alone."""
+) -> tuple[Dataset, Mapping[str, Any], dict[str, Any]]:
+    """Training frames, facts and attributes of one for positions of touches of one sensor alone."""
     train = follow_recording(dataset.select(settings.split(dataset)[0]))[0]
     places = touch_places(train)
     layout = InputSpec(
@@ -284,20 +281,12 @@ def _positions_parts(
     )
     frames = TrainingFrames(Observations.from_dataset(train), train, layout, math.nan)
     method = TouchPositions.fit(frames, settings, progress)
-    trained_on = {
-        "sha256": fingerprint(dataset),
-        "frames": len(train),
-        "source": dataset.source,
-        **method.learned,
-    }
     usual = ReadingRange.from_recording(train) if train.has_touch_reference.any() else None
-    examples = method.examples(train)
-    return {
+    parts = {
         "layout": layout,
         "method": method,
         "noise": method.noise,
-        "settings": settings,
-        "trained_on": trained_on,
-        "examples": examples,
+        "examples": method.examples(train),
         "usual": usual,
     }
+    return train, method.learned, parts

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -124,8 +124,10 @@ def labelled_frames(data: Dataset) -> LabelledFrames:
             "the untouched sensor, or name the values before touches with --values"
         )
     flat = np.array(untouched[FLAT])
-    bends = _thin(scene for scene in untouched if scene != FLAT)
-    touches = _thin(touched)
+    bends, touches = (
+        [own[k] for k in evenly_spaced(len(own), MAX_SCENES)]
+        for own in ([scene for scene in untouched if scene != FLAT], list(touched))
+    )
     scenes = tuple(dict.fromkeys([FLAT, *bends, *map(_bare, touches), *touches]))
     number = {scene: k for k, scene in enumerate(scenes)}
     level = flat.mean(axis=0)
@@ -194,11 +196,9 @@ def _bare(scene: Scene) -> Scene:
     return Scene(bend=scene.bend)
 
 
-def _thin(scenes: Iterable[Scene]) -> list[Scene]:
-    """At most `MAX_SCENES` of the scenes, evenly spaced."""
-    selected = list(scenes)
-    count = min(MAX_SCENES, len(selected))
-    return [selected[k] for k in np.linspace(0, len(selected) - 1, count).round().astype(int)]
+def evenly_spaced(count: int, most: int) -> Integers:
+    """At most so many of the numbers below a count, evenly spaced, (k,)."""
+    return np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)
 
 
 def _quantity(data: Dataset) -> Quantity:
