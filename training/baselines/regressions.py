@@ -360,7 +360,7 @@ class MlpMethod(TableMethod):
         for number in range(last + 1):
             outputs, inputs = arrays[f"{2 * number}.weight"].shape
             layers.append(Layer("dense", inputs, outputs, rectified=number < last))
-        return Network.from_arrays("network", layers, arrays).logits(features)
+        return Network.from_arrays(layers, arrays).logits(features)
 
 
 @dataclass(frozen=True, slots=True)

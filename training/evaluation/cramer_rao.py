@@ -87,21 +87,10 @@ class SceneDerivatives:
                 reference without noise.
             angle_known: whether the bend angle is known.
 
-        Raises:
-            ConfigurationError: for noise that is not positive, without parameters to estimate, and
-                for parameters that the measurements do not determine.
+        Raises ConfigurationError for parameters that the measurements do not determine.
         """
         noise = np.broadcast_to(np.asarray(deviation, dtype=float), self.by_angle.shape)
-        if not (np.all(np.isfinite(noise) & (noise > 0.0)) and reference_frames > 0.0):
-            raise ConfigurationError(
-                "expected noise and reference frames above 0, got deviations from "
-                f"{noise.min():g} to {noise.max():g} and {reference_frames:g} frames; give both"
-            )
         touches = len(self.by_touch)
-        if angle_known and not touches:
-            raise ConfigurationError(
-                "expected touches or an unknown angle to estimate, got neither; name one"
-            )
         rows = [
             *(row for touch in self.by_touch for row in touch),
             *([] if angle_known else [self.by_angle]),

@@ -11,8 +11,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.geometry import DataError
-
 Maps = NDArray[np.float32]  # (n, channels, rows, columns)
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -47,14 +45,6 @@ class Layer:
     normed: bool = False
     rectified: bool = True
     pooled: bool = False
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of the weights."""
-        if self.kind == "dense":
-            return self.outputs, self.inputs
-        ends = (self.outputs, self.inputs)
-        return (*(ends if self.kind == "convolution" else ends[::-1]), self.size, self.size)
 
 
 def state_layers(shape: tuple[int, int], maps: int) -> tuple[Layer, ...]:
@@ -112,31 +102,16 @@ class Network:
     arrays: tuple[tuple[Maps, ...], ...]
 
     @classmethod
-    def from_arrays(cls, name: str, layers: Sequence[Layer], arrays: Arrays) -> "Network":
-        """Network of saved weights; raises DataError where some are missing or of another shape."""
-
-        def load(key: str, *shape: int) -> Maps:
-            array = arrays.get(key)
-            if array is None:
-                raise DataError(
-                    f"expected an array 'layers.{key}' of a saved {name}, which is missing; save "
-                    "the pipeline again"
-                )
-            if array.shape != shape:
-                raise DataError(
-                    f"expected 'layers.{key}' of a saved {name} of shape {shape}, got other shapes "
-                    f"than this version's: {array.shape}; train the pipeline again"
-                )
-            return np.asarray(array, dtype=np.float32)
-
+    def from_arrays(cls, layers: Sequence[Layer], arrays: Arrays) -> "Network":
+        """Network of saved weights; raises KeyError where some are missing."""
         layer_arrays = []
         for layer, (key, norm) in zip(layers, _names(layers), strict=True):
-            bias = load(f"{key}.bias", layer.outputs) if layer.bias else np.float32(0.0)
-            mine = [load(f"{key}.weight", *layer.shape), np.asarray(bias)]
+            bias = arrays[f"{key}.bias"] if layer.bias else 0.0
+            mine = [arrays[f"{key}.weight"], bias]
             if layer.normed:
                 parts = ("weight", "bias", "running_mean", "running_var")
-                mine += [load(f"{norm}.{part}", layer.outputs) for part in parts]
-            layer_arrays.append(tuple(mine))
+                mine += [arrays[f"{norm}.{part}"] for part in parts]
+            layer_arrays.append(tuple(np.asarray(each, np.float32) for each in mine))
         return cls(tuple(layers), tuple(layer_arrays))
 
     def logits(self, maps: ArrayLike) -> NDArray[np.float64]:

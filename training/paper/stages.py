@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from eitskin.datasets import State
 from eitskin.extras import require
-from eitskin.geometry import ConfigurationError, DataError
+from eitskin.geometry import DataError
 from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.settings import NetworkSettings, Progress, silent
 from eitskin.training.method.stored_fields import GIVEN_FIELD, Arrays, StoredField, StoredFields
@@ -69,16 +69,8 @@ class Reconstruction(StoredFields):
             noise: rms noise of each channel's dV (measurements,) in a common unit; channels count
                 by its inverse, equally for a single number.
 
-        Raises:
-            ConfigurationError: for a Jacobian of another shape, or an `snr` that is not positive.
         """
         J = np.asarray(jacobian, dtype=float)
-        pixels = J.shape[1]
-        if pixels != shape[0] * shape[1]:
-            raise ConfigurationError(
-                f"expected a Jacobian of {shape[0] * shape[1]} columns for a "
-                f"{shape[0]} x {shape[1]} image, got {pixels}; take it for the same pixels"
-            )
         rms = np.broadcast_to(np.asarray(noise, dtype=float), J.shape[:1])
         whitened = J / rms[:, None]
         family = gauss_newton(whitened, noser_weights(whitened))
@@ -150,9 +142,8 @@ class Classifier(StoredFields):
     network: Network = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Make the network; raises DataError for weights of another one."""
-        layers = state_layers(self.shape, len(self.embedding))
-        network = Network.from_arrays("state network", layers, self.weights)
+        """Make the network; raises KeyError for weights of another one."""
+        network = Network.from_arrays(state_layers(self.shape, len(self.embedding)), self.weights)
         object.__setattr__(self, "network", network)
 
     @classmethod
@@ -242,10 +233,9 @@ class PostProcessor(StoredFields):
     network: Network = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Make the network; raises DataError for weights of another one."""
-        first = self.weights.get("0.weight")
-        layers = touch_map_layers(1 if first is None else len(first))
-        network = Network.from_arrays("touch map network", layers, self.weights)
+        """Make the network; raises KeyError for weights of another one."""
+        layers = touch_map_layers(len(self.weights["0.weight"]))
+        network = Network.from_arrays(layers, self.weights)
         object.__setattr__(self, "network", network)
 
     @classmethod

@@ -131,12 +131,8 @@ class StoredReference:
             still: rms of the relative difference of two frames of a still sensor; twice that is
                 motion.
 
-        Raises:
-            ConfigurationError: for no frames.
-            DataError: for a sensor that moves, and for frames without a good channel.
+        Raises DataError for a sensor that moves, and without a good channel in any frame.
         """
-        if not len(impedance):
-            raise ConfigurationError("expected frames of the untouched sensor, got none; give some")
         values, count = np.asarray(impedance), len(impedance)
         size = np.abs(values)
         values = np.where((size >= LEAST_READING) & (size <= LARGEST_READING), values, np.nan)

@@ -75,10 +75,6 @@ class RegularisedInverse:
         square signal of the M measurements is S^2 = s^2 trace(G) / M. With S / n = snr,
         lambda = sqrt(trace(G) / M) / snr.
         """
-        if not snr > 0:
-            raise ConfigurationError(
-                f"expected a positive snr, got {snr!r}; take that of the frames"
-            )
         return self._scale / min(snr, MAX_SNR)
 
     def lambda_from_noise_figure(self, noise_figure: float, response: Array) -> float:

@@ -144,7 +144,7 @@ def test_networks_evaluated_by_numpy_are_torchs(layers):
     }
     inputs = rng.normal(size=(70, layers[0].inputs, 16, 40)).astype(np.float32)  # two batches
     expected = by_torch(network, weights, inputs)
-    found = Network.from_arrays("network", layers, weights).logits(inputs)
+    found = Network.from_arrays(layers, weights).logits(inputs)
     assert np.ptp(expected) > 0.01
     np.testing.assert_allclose(found, expected, atol=2e-6 * np.abs(expected).max())
 
