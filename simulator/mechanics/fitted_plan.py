@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 import skfem
 from numpy.typing import NDArray
-from scipy import ndimage, sparse
-from scipy.sparse.linalg import spsolve
+from scipy import ndimage
+from scipy.sparse import csr_array
+from scipy.sparse.linalg import LaplacianNd, spsolve
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import PlaneOutline
@@ -188,7 +189,8 @@ def _shift_to_rim(
         nearest = np.unravel_index(apart.argmin(), apart.shape)
         moved[nearest] = corner - nodes[nearest]
     held |= rim
-    springs = _springs(within.shape[0] + 1, within.shape[1] + 1)
+    net = LaplacianNd(nodes.shape[:2], boundary_conditions="neumann", dtype=np.float64)
+    springs = -csr_array(net.tosparse())
     flat, loose = moved.reshape(-1, 2), np.flatnonzero(~held)
     flat[loose] = spsolve(springs[loose][:, loose].tocsc(), -(springs[loose] @ flat))
     least = _MIN_JACOBIAN * _least_jacobian(_cell_corners(nodes))
@@ -200,16 +202,6 @@ def _shift_to_rim(
         again = again[1:, 1:] | again[1:, :-1] | again[:-1, 1:] | again[:-1, :-1]
         moved[again] *= 0.8
     return moved
-
-
-def _springs(*shape: int) -> sparse.csr_array:
-    """Stiffness of a net of springs along both directions of a grid."""
-    chains = []
-    for n in shape:
-        difference = sparse.diags_array([-1.0, 1.0], offsets=(0, 1), shape=(n - 1, n))
-        chains.append(difference.T @ difference)
-    eyes = [sparse.eye_array(n) for n in shape]
-    return (sparse.kron(chains[0], eyes[1]) + sparse.kron(eyes[0], chains[1])).tocsr()
 
 
 def _cell_corners(nodes: Array) -> Array:

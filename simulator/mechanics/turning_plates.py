@@ -6,6 +6,8 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import barycentric_interpolate
+from scipy.spatial.transform import Rotation
 
 from eitskin.simulator.mechanics.load_stepping import (
     MIN_STEP,
@@ -86,13 +88,7 @@ class TurningPlates:
         solve = partial(newton, tolerance=_TOLERANCE, chords=True, contraction=1.0)
         near = sorted(self._solved, key=lambda solved: abs(solved - angle))[:_NEIGHBOURS]
         if len(near) > 1:
-            weights = (
-                math.prod((angle - other) / (one - other) for other in near if other != one)
-                for one in near
-            )
-            guess = np.sum(
-                [w * self._solved[one] for w, one in zip(weights, near, strict=True)], axis=0
-            )
+            guess = barycentric_interpolate(near, [self._solved[one] for one in near], angle)
             if self._solid.admissible(guess):
                 try:
                     return solve(self._terms, guess, self._load(angle))
@@ -125,16 +121,6 @@ class TurningPlates:
         displacement = self._solid.displacement(moved)
         for way, held in self._plates.items():
             X = self._solid.nodes[held]
-            displacement[held] = _rotate_points(X, 0.5 * way * math.radians(angle), self._axis) - X
+            turn = Rotation.from_rotvec([0.0, 0.5 * way * math.radians(angle), 0.0])
+            displacement[held] = turn.apply(X - self._axis) + self._axis - X
         return moved
-
-
-def _rotate_points(points: Array, angle: float, axis: Array) -> Array:
-    """Points (..., 3) rotated with the plate at large x by an angle [rad], downwards if positive.
-
-    The axis along y goes through a point (3,) [m].
-    """
-    cos, sin = math.cos(angle), math.sin(angle)
-    rotation = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
-    turned: Array = (points - axis) @ rotation.T + axis
-    return turned

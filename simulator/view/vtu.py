@@ -13,6 +13,7 @@ from eitskin.files import atomic_file
 from eitskin.geometry.deformation.kinematics import Deformation, largest_strain
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.mesh_design import natural_cells
+from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Discretisation, discretisation
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Simulator
@@ -126,12 +127,8 @@ def thinning(sim: Simulator, deformation: Deformation | None, points: Array) -> 
 def _pairs(sim: Simulator, drives: Sequence[Drive] | None) -> list[Drive]:
     if drives is None:
         return list(dict.fromkeys((plus, minus) for plus, minus, *_ in sim.protocol.table))
-    last = len(sim.design.electrodes) - 1
     for drive in drives:
-        if drive[0] == drive[1] or not all(0 <= electrode <= last for electrode in drive):
-            raise ConfigurationError(
-                f"a drive takes two different electrodes from 0 to {last}, got {drive}"
-            )
+        Protocol(((*drive, *drive),), len(sim.design.electrodes))
     return list(drives)
 
 
