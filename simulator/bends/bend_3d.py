@@ -96,15 +96,7 @@ class BentStack(Deformation):
         x = np.asarray(points, dtype=float) - self.centre
         sides = np.where(x < 0.0, -1.0, 1.0)
         sides[..., 2] = 1.0
-        x = sides * x
-        _, Y, Z = self.displacement.lines
-        outside = (x[..., 1] > Y[-1] + _TOLERANCE) | (np.abs(x[..., 2]) > Z[-1] + _TOLERANCE)
-        if np.any(outside):
-            raise ConfigurationError(
-                f"{int(outside.sum())} of {outside.size} points lie outside the bent sensor of "
-                f"width {2 * Y[-1]:g} m and thickness {2 * Z[-1]:g} m"
-            )
-        return x, sides
+        return sides * x, sides
 
 
 class ClampedStack:

@@ -180,10 +180,6 @@ def tabulate_bends(
     Raises SolidError where fewer than four angles can be reached.
     """
     angles = np.unique(np.asarray(angles_deg, dtype=float))
-    if len(angles) < _MIN_NODES or not angles[0] <= 0.0 <= angles[-1]:
-        raise ConfigurationError(
-            f"a table of bends needs four angles or more, on both sides of 0, got {angles_deg}"
-        )
     stacks: dict[float, BentStack] = {}
     for path in (angles[angles >= 0.0], angles[angles < 0.0][::-1]):
         try:

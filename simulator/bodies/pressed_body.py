@@ -96,20 +96,12 @@ class BodyPress:
             grading: finest under the indenters, `layers` is not used; a quarter of the smallest
                 radius when omitted.
 
-        Raises:
-            ConfigurationError: for a plane outline, touches next to the body, or a body that needs
-                too many cells.
+        Raises ConfigurationError for a plane outline, or a body that needs too many cells.
         """
-        if not 1 <= len(touches) <= MAX_TOUCHES:
-            raise ConfigurationError(
-                f"a body is pressed by one to {MAX_TOUCHES} touches, got {len(touches)}"
-            )
         surface, self._mechanics = require_surface(design), mechanics or Mechanics()
         self._points, self._faces = surface.triangles()
         self._bounds = surface.bounds
         self.touches = tuple(touches)
-        for touch in self.touches:
-            require_over_body(surface, touch)
         self._lowest = [self._first_contact(touch) for touch in self.touches]
         smallest = min(t.indenter.rims[1] for t in self.touches)
         grading = grading or body_grading(design, smallest / _PER_RADIUS)

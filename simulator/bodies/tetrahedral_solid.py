@@ -26,8 +26,7 @@ _CELLS = 1200.0  # tetrahedra of a body far from clamps and touches, about
 _GROWTH = 0.7  # of their size, per distance from clamps and touches
 _PER_CUBE = 8.5  # tetrahedra in a cube of their edge length
 _MAX_CELLS = 20_000  # about 2 GB of memory and 20 s for each step of Newton's method
-# Edges of a tetrahedron in the order of its edge functions.
-EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
+_ELEMENT = skfem.ElementTetP2()
 _FEW, _MANY = 12, 200  # cells tried around a point, by the distance of their middles
 _INSIDE = -1e-9  # distance from a cell within which a point counts as inside, over the body's size
 _AT_ONCE = 40_000  # points per chunk
@@ -106,7 +105,7 @@ class TetrahedralField(Deformation):
     Attributes:
         points: corners of the cells, (n, 3) [m].
         cells: numbers of the corners, (m, 4).
-        values: displacements at the corners and at the middles of `EDGES`, (m, 10, 3) [m].
+        values: displacements at the nodes of skfem's quadratic element, (m, 10, 3) [m].
         stress: mean stress at the corners of the mesh, (n,) [Pa].
     """
 
@@ -122,9 +121,11 @@ class TetrahedralField(Deformation):
         for part, cells, place in self._locate_points(flat):
             values = self.values[cells]
             slopes = self._inverse[cells]  # of the coordinates 1 to 3
-            moved[part] = flat[part] + np.einsum("na,nai->ni", _shapes(place), values)
-            rates = np.einsum("nab,nai->nbi", _rates(place), values)
-            F[part] = np.eye(3) + np.einsum("nbi,nbJ->niJ", rates[:, 1:] - rates[:, :1], slopes)
+            functions = (_ELEMENT.lbasis(place[:, 1:].T, i) for i in range(values.shape[1]))
+            shapes, rates = map(np.array, zip(*functions, strict=True))
+            moved[part] = flat[part] + np.einsum("an,nai->ni", shapes, values)
+            strained = np.einsum("abn,nai->nbi", rates, values)
+            F[part] = np.eye(3) + np.einsum("nbi,nbJ->niJ", strained, slopes)
         shape = np.shape(points)
         return moved.reshape(shape), F.reshape(*shape, 3)
 
@@ -191,18 +192,3 @@ class TetrahedralField(Deformation):
         first = -self._inverse.sum(axis=1, keepdims=True)
         slopes = np.concatenate([first, self._inverse], axis=1)
         return np.asarray(1.0 / np.linalg.norm(slopes, axis=2), dtype=np.float64)
-
-
-def _shapes(place: Array) -> Array:
-    """Quadratic shape functions (n, 10) at barycentric coordinates (n, 4)."""
-    edges = [4.0 * place[:, a] * place[:, b] for a, b in EDGES]
-    return np.concatenate([place * (2.0 * place - 1.0), np.stack(edges, axis=1)], axis=1)
-
-
-def _rates(place: Array) -> Array:
-    """Derivatives (n, 10, 4) of the shape functions by the barycentric coordinates."""
-    rates = np.zeros((len(place), 10, 4))
-    rates[:, range(4), range(4)] = 4.0 * place - 1.0
-    for k, (a, b) in enumerate(EDGES, start=4):
-        rates[:, k, a], rates[:, k, b] = 4.0 * place[:, b], 4.0 * place[:, a]
-    return rates

@@ -9,7 +9,6 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from eitskin.bounds import require_positive
 from eitskin.geometry.meshing.grading import Grading, graded_lines
 from eitskin.simulator.mechanics.face import PenaltyContact
 from eitskin.simulator.mechanics.layer_stack import Indentation, Stack
@@ -99,7 +98,6 @@ class AxisymmetricPress:
         A rising force is followed in steps of depth: where a rough indenter sticks depends on the
         way to the force, and one step leaves 0.7 to 1 % of the depth.
         """
-        require_positive("the force of a press", force, "N")
         if not self.contact.force(self.unknowns):
             self.to_depth(self._touching_depth(force))
         self._approach(force)
@@ -115,7 +113,6 @@ class AxisymmetricPress:
 
     def to_depth(self, depth: float) -> Indentation:
         """Equilibrium at a depth [m]; raises SolidError with the fraction reached otherwise."""
-        require_positive("the depth of a press", depth, "m")
         start = self.unknowns[-1]
         count = max(1, math.ceil(abs(depth - start) / self._longest))
         steps = np.linspace(start, depth, 1 + count)

@@ -6,7 +6,7 @@ from dataclasses import InitVar, dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.bounds import LONGEST, require_positive
+from eitskin.bounds import LONGEST
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.sensor import SensorDesign, Substrate, warn_of_grid
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
@@ -107,9 +107,6 @@ class Sheet:
     thickness: float
     law: NeoHookean | Ogden
 
-    def __post_init__(self) -> None:
-        require_positive("the thickness of a layer", self.thickness, "m")
-
 
 @dataclass(frozen=True, slots=True)
 class Stack:
@@ -124,11 +121,6 @@ class Stack:
     sheets: tuple[Sheet, ...]
     bulk_ratio: float = 1e4
     substrate: bool = False
-
-    def __post_init__(self) -> None:
-        """Check that there is a layer."""
-        if not self.sheets:
-            raise ConfigurationError("a stack needs at least one layer")
 
     @property
     def gel(self) -> int:

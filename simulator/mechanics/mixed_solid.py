@@ -114,12 +114,7 @@ class Solid(ForceTerm):
             bulk_ratio: kappa / mu of every material, 2 (1 + nu) / (3 (1 - 2 nu)).
         """
         self.mesh, self.kinematics, self.laws = mesh, kinematics, tuple(laws)
-        elements = next((e for kind, e in _ELEMENTS.items() if isinstance(mesh, kind)), None)
-        if elements is None or mesh.dim() != self.dim:
-            raise ConfigurationError(
-                f"'{kinematics}' needs cells in {self.dim} dimensions, quadrilaterals, triangles, "
-                f"hexahedra or tetrahedra, got {type(mesh).__name__}"
-            )
+        elements = next(each for kind, each in _ELEMENTS.items() if isinstance(mesh, kind))
         if not 0.0 < bulk_ratio <= STIFFEST:
             raise ConfigurationError(
                 f"bulk_ratio must lie above 0 and at most at {STIFFEST:g}, beyond which rounding "

@@ -13,9 +13,9 @@ from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import ForwardModel, Mechanics, Scene, Simulator
 from eitskin.simulator.bends.bend_3d import ClampedStack
 from eitskin.simulator.bodies import pressed_body
-from eitskin.simulator.bodies.clamped_body import ClampedBody
+from eitskin.simulator.bodies.body_deformation import ClampedBody
 from eitskin.simulator.bodies.pressed_body import BodyPress, heights
-from eitskin.simulator.bodies.tetrahedral_solid import EDGES, TetrahedralField
+from eitskin.simulator.bodies.tetrahedral_solid import TetrahedralField
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.scene.indenters import Sphere
 from eitskin.simulator.scene.scene import Touch
@@ -71,7 +71,8 @@ def inside(n, low=(0.0, 0.0, 0.0), high=SIZE):
 def test_fields_meet_quadratic_displacements_and_heights_the_highest_face():
     mesh = skfem.MeshTet.init_tensor(*[np.array([0.0, 0.4, 1.0])] * 3)
     corners = mesh.p.T[mesh.t.T]
-    middles = np.stack([0.5 * (corners[:, a] + corners[:, b]) for a, b in EDGES], axis=1)
+    edges = (0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)
+    middles = np.stack([0.5 * (corners[:, a] + corners[:, b]) for a, b in edges], axis=1)
 
     def moved(X):
         x, y, z = np.moveaxis(X, -1, 0)
