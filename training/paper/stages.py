@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from typing import Annotated
 
 import numpy as np
@@ -114,7 +114,7 @@ def bend_free_projection(bend: ArrayLike, noise: float) -> Array:
     return projection
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Classifier(StoredFields):
     """Classifier of the three states of `eitskin.datasets.State` from reconstructed maps.
 
@@ -125,7 +125,6 @@ class Classifier(StoredFields):
 
     Attributes:
         weights: trained weights and batch statistics of the network, by name.
-        network: network with these weights.
         embedding: linear map from dV to scaled maps, (maps, pixels, measurements).
         shape: rows and columns of a map.
         compress: whether asinh is taken of the maps.
@@ -139,12 +138,11 @@ class Classifier(StoredFields):
     compress: bool
     history: LearningCurve = field(default_factory=LearningCurve)
     states: tuple[State, ...] = tuple(State)
-    network: Network = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        """Make the network; raises KeyError for weights of another one."""
-        network = Network.from_arrays(state_layers(self.shape, len(self.embedding)), self.weights)
-        object.__setattr__(self, "network", network)
+    @cached_property
+    def network(self) -> Network:
+        """Network with these weights."""
+        return Network.from_arrays(state_layers(self.shape, len(self.embedding)), self.weights)
 
     @classmethod
     def fit(
@@ -215,13 +213,12 @@ class Classifier(StoredFields):
         return probabilities
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class PostProcessor(StoredFields):
     """Convolutional network for the probability of each pixel to lie under an indenter.
 
     Attributes:
         weights: trained weights and batch statistics of the network, by name.
-        network: network with these weights.
         scale: divisor of the reconstructions before the network, their standard deviation over
             the training frames.
         history: losses in training.
@@ -230,13 +227,12 @@ class PostProcessor(StoredFields):
     weights: Annotated[Arrays, StoredField("layers")]
     scale: float
     history: LearningCurve = field(default_factory=LearningCurve)
-    network: Network = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        """Make the network; raises KeyError for weights of another one."""
+    @cached_property
+    def network(self) -> Network:
+        """Network with these weights."""
         layers = touch_map_layers(len(self.weights["0.weight"]))
-        network = Network.from_arrays(layers, self.weights)
-        object.__setattr__(self, "network", network)
+        return Network.from_arrays(layers, self.weights)
 
     @classmethod
     def fit(
