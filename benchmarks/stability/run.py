@@ -51,9 +51,8 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
             for case in watch(family, list(some))
         ]
     own = {row["case"]: numbers for row in rows if (numbers := row.pop("figures"))}
-    own |= {
-        row["case"]: {"refused": 1.0} for row in rows if row["reason"] and row["family"] in _SHOWN
-    }
+    refused = (row for row in rows if row["family"] in _SHOWN and row["outcome"] == "refused")
+    own |= {row["case"]: {"refused": 1.0} for row in refused}
     figures = dict(_figures(rows)) | {"all.seconds": time.perf_counter() - began}
     figures |= {f"{case} / {key}": each[key] for case, each in own.items() for key in each}
     wrong = [row for row in rows if row["outcome"] == "wrong"]
