@@ -108,12 +108,12 @@ class PressedTouch:
         thinning: 1 - thickness over undeformed thickness of the gel, on the axis.
         edge_distance: distance from the axis to the nearest edge of the gel [m].
         neighbour_distance: distance from the axis to that of the nearest other touch [m].
-        signal_error: largest error of the signal, relative, that comparisons with the full model
-            found at such distances (docs/results/simulator.md); None at smaller distances or larger
-            depths than any comparison, with thinner covers, other ratios of moduli or smaller
-            indenters than any, next to re-entrant corners, on other outlines than
-            rectangles and polygons, and on a sensor that is bent, rolled or twisted after it is
-            pressed.
+        signal_error: relative error of the signal that 95 of 100 presses stay below, by comparisons
+            with other solutions at such distances (docs/results/simulator.md) and with that of the
+            mesh of "fast"; None nearer to an edge or deeper than any comparison, with thinner
+            covers, other ratios of moduli or smaller indenters than any, next to re-entrant
+            corners, on other outlines than rectangles and polygons, and on a sensor that is bent,
+            rolled or twisted after it is pressed.
         caution: why the dent is less exact than a single one in the middle of the sensor; empty
             otherwise.
     """

@@ -114,7 +114,7 @@ def test_an_indenter_that_sinks_with_its_stack_reaches_its_depth(giving_way) -> 
 @pytest.mark.parametrize(
     ("places", "error", "words"),
     [
-        ([(X, 0.0045)], None, "4.5 mm"),
+        ([(X, 0.0036)], 0.08, ""),
         ([(X, 0.0050)], 0.04, ""),
         ([(0.0055, 0.0055)], 0.08, ""),
         ([(X, Y), (X + 0.018, Y)], None, "18.0 mm from another"),
@@ -145,6 +145,7 @@ def test_presses_that_are_bent_afterwards_say_so(monkeypatch) -> None:
         (Plates(), Scene(touches=touches), 0.05),
         (Plates(), Scene(bend, touches), 0.05),
         (Plates(), Scene(bend, (Touch(0.070, Y, 2.0),)), 0.10),
+        (Plates(), Scene(bend, (Touch(0.040, 0.0045, 2.0),)), 0.08),
         (Plates(), Scene(bend, touches, twist=Twist(5.0)), None),
         (Plates(), Scene(bend, touches, roll=Roll(5.0)), None),
         (Rigid(), Scene(touches=touches), 0.04),
