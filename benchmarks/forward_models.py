@@ -16,15 +16,9 @@ from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh_design import CellKind
 from eitskin.simulator import ForwardModel, Protocol
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
-from eitskin.simulator.linalg.sparse_structure import OrderName
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-
-# A ladder's rungs: each divides the cells at the electrode edges by this.
-_STEP = 4.0
-
-_ORDERS = {1: "linear", 2: "quadratic", 3: "cubic", 4: "quartic"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,40 +30,16 @@ class ModelCase:
         name: name of this point of it.
         resolution: a name, or element order and grading.
         cells: kind of mesh.
-        solver: chosen by the shape when omitted.
     """
 
     family: str
     name: str
     resolution: Resolution | Discretisation
     cells: CellKind = "hexahedra"
-    solver: OrderName | None = None
 
     def model(self, design: SensorDesign) -> ForwardModel:
         """Forward model of the design on its mesh."""
-        return ForwardModel(design, self.resolution, cells=self.cells, solver=self.solver)
-
-
-def ladder(
-    order: tuple[int, ...],
-    coarse: Grading,
-    rungs: int,
-    cells: CellKind = "hexahedra",
-    solver: OrderName | None = None,
-) -> list[ModelCase]:
-    """Sequence of ever finer gradings for elements of one order.
-
-    Far from the edges the error goes with size^(2 order), near them with the size of the finest
-    cells alone: sizes and growth shrink as the finest size to the power of 1 / (2 order).
-    """
-    family = f"{cells}, {_ORDERS[order[0]]}" + (f", {solver}" if solver else "")
-    cases = []
-    for rung in range(rungs):
-        finest = coarse.finest / _STEP**rung
-        ratio = _STEP ** (-0.5 * rung / order[0])
-        grading = Grading(finest, coarse.coarsest * ratio, coarse.growth * ratio, coarse.layers)
-        cases.append(ModelCase(family, _length(finest), (order, grading), cells, solver))
-    return cases
+        return ForwardModel(design, self.resolution, cells=self.cells)
 
 
 def _length(metres: float) -> str:
@@ -93,31 +63,11 @@ def uniform(size: float, layers: int) -> ModelCase:
     )
 
 
-CUBIC: tuple[tuple[int, ...], Grading] = ((3, 2, 1), Grading(1e-3, 5e-3, 2.0))
-
-FULL: tuple[ModelCase, ...] = (
-    *select_cases("hexahedra"),
-    *ladder((1, 1), Grading(2e-3, 4e-3, 1.0), 3),
-    *ladder((2, 2, 1), Grading(1e-3, 4e-3, 1.0), 3),
-    *ladder(*CUBIC, rungs=4),
-    *ladder((4, 3, 2), Grading(1e-3, 6e-3, 3.0), 4),
-    *ladder(*CUBIC, rungs=3, solver="nested dissection"),
-    *select_cases("prisms"),
-    *ladder((1, 1), Grading(2e-3, 4e-3, 0.7), 3, "prisms"),
-    *ladder((2, 2, 1), Grading(1e-3, 5e-3, 0.7), 2, "prisms"),
-    *ladder((3, 2, 1), Grading(1e-3, 6e-3, 0.7), 3, "prisms"),
-    *select_cases("tetrahedra"),
-)
-# Meshes that pyEIT is measured on, cut into tetrahedra or, the plane ones, into triangles.
-PEERS = (uniform(4.4e-3, 2), uniform(2.2e-3, 4), uniform(2e-3, 0), uniform(9.5e-4, 0))
+FULL = (*select_cases("hexahedra"), *select_cases("prisms"), *select_cases("tetrahedra"))
+QUICK = (*select_cases("hexahedra", ("coarse", "fast")), *select_cases("prisms", ("coarse",)))
+# Meshes that pyEIT is measured on, cut into tetrahedra or, the plane one, into triangles.
+PEERS = (uniform(4.4e-3, 2), uniform(2e-3, 0))
 QUICK_PEERS = (uniform(8e-3, 2),)
-
-QUICK: tuple[ModelCase, ...] = (
-    *select_cases("hexahedra", ("fast",)),
-    *ladder((1, 1), Grading(4e-3, 5e-3, 1.0), 2),
-    *ladder((3, 2, 1), Grading(2e-3, 6e-3, 2.0), 2, solver="nested dissection"),
-    *ladder((2, 2, 1), Grading(4e-3, 1e-2, 1.0), 2, "prisms"),
-)
 
 # Pairs of references: the first is the truth; the second, of other cells, order and grading, says
 # how far it can be trusted.

@@ -59,7 +59,7 @@ ALL = (
     Benchmark("transfer", 8, seeded=True),
     Benchmark("life", 8, seeded=True),
     Benchmark("methods", 10, seeded=True),
-    Benchmark("layouts", 90),
+    Benchmark("layouts", 15),
 )
 
 

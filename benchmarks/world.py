@@ -26,20 +26,14 @@ from eitskin.benchmarks.results import (
     plot_errors,
 )
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture, Hinge
-from eitskin.geometry.deformation.kinematics import Composition, Deformation, Displaced
+from eitskin.geometry.deformation.kinematics import Deformation, Displaced
 from eitskin.geometry.design.sensor import Free, Plates, Rigid, SensorDesign, Substrate, Support
 from eitskin.simulator.bends import bend_table
 from eitskin.simulator.bends.bend_3d import ClampedStack
 from eitskin.simulator.bends.pressed_plates import held_by_plates
-from eitskin.simulator.deformation.dents import Dents, PlacedDent
-from eitskin.simulator.deformation.press_table import press_table
 from eitskin.simulator.deformation.pressed_sensor import PressedSensor, TouchModel, solved_presses
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID
-from eitskin.simulator.deformation.touches import (
-    dents,
-    pressed_touches,
-    resolve_touch_model,
-)
+from eitskin.simulator.deformation.touches import dents, resolve_touch_model
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.materials import NeoHookean
@@ -67,7 +61,7 @@ _SOLVED_TOO = ("75_30", "75_15", "two_65_30_85_30")
 KINEMATIC: Final = "kinematic"
 TABLE_MODEL: Final = "tabulated"
 SOLVED_MODEL: Final = "solved"
-"""Names of models: unbounded dents or `Hinge()`; the tables; solutions in 3D."""
+"""Names of models: `Hinge()`, of bends alone; the tables; solutions in 3D."""
 MODELS = (KINEMATIC, TABLE_MODEL, SOLVED_MODEL)
 
 
@@ -165,10 +159,7 @@ def deformations(case: ReferenceCase) -> dict[str, Model]:
             TABLE_MODEL: partial(bend, case, TABLE_MODEL),
             SOLVED_MODEL: partial(_clamped_3d, case),
         }
-    models: dict[str, Model] = {
-        KINEMATIC: partial(_unbounded_dents, case),
-        SOLVED_MODEL: partial(_pressed_3d, case),
-    }
+    models: dict[str, Model] = {SOLVED_MODEL: partial(_pressed_3d, case)}
     shipped = resolve_touch_model(touches, _sensor(case, None)) == TABLE_MODEL
     if shipped:
         models[TABLE_MODEL] = lambda: dents([touches], [_sensor(case, TABLE_MODEL)])[0]
@@ -187,18 +178,6 @@ def bend(case: ReferenceCase, model: str) -> Deformation:
     return bend_table.bend(case.design, fixture, case.mechanics, case.scene.bend)
 
 
-def depth(case: ReferenceCase, model: str) -> float | None:
-    """Depth of the first indenter by a model [m]; None for bends."""
-    if case.is_bend:
-        return None
-    if model == KINEMATIC:
-        touch = case.scene.touches[0]
-        dent = press_table(case.design, case.mechanics, touch.indenter).dent_from_force(touch.force)
-        return float(dent.depth)
-    sensor = _sensor(case, TABLE_MODEL if model == TABLE_MODEL else SOLVED_MODEL)
-    return pressed_touches(case.scene.touches, sensor)[0].depth
-
-
 def _clamped_3d(case: ReferenceCase) -> Deformation:
     clamp = bend_table.on_support(Clamp(), case.design.support)
     stack = ClampedStack(case.design, clamp, mechanics=case.mechanics)
@@ -208,16 +187,6 @@ def _clamped_3d(case: ReferenceCase) -> Deformation:
 def _pressed_3d(case: ReferenceCase) -> Deformation:
     solved_presses.cache_clear()
     return dents([case.scene.touches], [_sensor(case, SOLVED_MODEL)])[0]
-
-
-def _unbounded_dents(case: ReferenceCase) -> Deformation:
-    """Dents of the unbounded stack, without corrections."""
-    placed = []
-    for touch in case.scene.touches:
-        table = press_table(case.design, case.mechanics, touch.indenter)
-        placed.append(PlacedDent(touch.x, touch.y, table.dent_from_force(touch.force)))
-    pressed = Dents(tuple(placed))
-    return Composition(pressed, bend(case, KINEMATIC)) if case.scene.bend.angle_deg else pressed
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,8 +200,6 @@ class ModelError:
         error: error of the signal.
         seconds: seconds of the deformation at the points of the mesh [s].
         reference_error: reference error of the case, by estimate.
-        depth: depth of the first indenter [m]; None for bends.
-        reference_depth: the same, of the reference.
     """
 
     case: str
@@ -241,8 +208,6 @@ class ModelError:
     error: float
     seconds: float
     reference_error: float
-    depth: float | None
-    reference_depth: float | None
 
 
 class Gauge:
@@ -298,8 +263,6 @@ def compare(case: ReferenceCase, gauge: Gauge, models: Sequence[str]) -> Iterato
             error=float(error),
             seconds=seconds,
             reference_error=case.error,
-            depth=depth(case, name),
-            reference_depth=case.depth[0] if case.depth else None,
         )
 
 
@@ -315,15 +278,11 @@ def select_errors(errors: Sequence[ModelError], model: str, kind: str) -> list[M
 
 
 def figures(errors: Sequence[ModelError]) -> Iterator[tuple[str, float]]:
-    """All figures by name: errors and depths by case and model."""
+    """All figures by name: errors by case and model."""
     for row in errors:
         yield f"{row.case} / {row.model} [%]", 100 * row.error
-        if row.depth is not None:
-            yield f"{row.case} / {row.model}, depth [mm]", 1e3 * row.depth
         yield f"{row.case} / {row.model} [s]", row.seconds
         yield f"{row.case} / reference [%]", 100 * row.reference_error
-        if row.reference_depth is not None:
-            yield f"{row.case} / reference, depth [mm]", 1e3 * row.reference_depth
     for kind in KINDS:
         for model in (*MODELS, "default"):
             if rows := select_errors(errors, model, kind):
@@ -349,8 +308,6 @@ def sentences(errors: Sequence[ModelError]) -> Iterator[str]:
             f"(target {100 * most:g} %); the reference itself is good to "
             f"{100 * worst.reference_error:.2g} % there, by estimate"
         )
-    baseline = [row.error for row in select_errors(errors, KINEMATIC, "press")]
-    yield f"unbounded dents without corrections: {100 * min(baseline):.0f} % at least"
 
 
 def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report:

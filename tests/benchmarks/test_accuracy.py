@@ -8,7 +8,7 @@ from command_line import printed_json
 
 from eitskin.benchmarks import accuracy
 from eitskin.benchmarks import forward_models as models
-from eitskin.benchmarks.accuracy import QUICK_SCENES, published_error
+from eitskin.benchmarks.accuracy import QUICK_SCENES
 from eitskin.benchmarks.forward_models import Drop, Truth, drops, judge, model_frame
 from eitskin.benchmarks.world import (
     KINEMATIC,
@@ -46,15 +46,12 @@ def truth() -> Truth:
 
 
 @pytest.mark.slow
-def test_errors_fall_along_each_ladder_and_stay_above_the_references_own(data):
-    names = "hexahedra, linear", "hexahedra, cubic, nested dissection", "prisms, quadratic"
-    for name in names:
-        first, second = (row for row in data["rows"] if row["family"] == name)
-        for quantity in ("resistance_error", "signal_error"):
-            assert second[quantity] < 0.5 * first[quantity]
-            assert second[quantity] > 10 * data["figures"][f"references.{quantity}"]
-        assert second["published_error"] < first["published_error"]
-        assert second["unknowns"] > first["unknowns"]
+def test_errors_fall_with_the_resolution_and_stay_above_the_references_own(data):
+    coarse, fast = (row for row in data["rows"] if row["family"] == "hexahedra, named")
+    for quantity in ("resistance_error", "signal_error"):
+        assert fast[quantity] < 0.5 * coarse[quantity]
+        assert fast[quantity] > 10 * data["figures"][f"references.{quantity}"]
+    assert fast["unknowns"] > coarse["unknowns"]
     for scene, limit in zip(QUICK_SCENES, (1e-3, 2.5e-3, 3.5e-2), strict=True):
         check, fast = (
             data["figures"][f"bent and pressed, {name}.{scene}"]
@@ -83,12 +80,6 @@ def test_judge_measures_the_errors_of_a_frame_and_the_drop_is_smooth(truth):
     assert drop(points) == pytest.approx([1.4, 2.0 * (1 - 0.3 / np.e), 2.0])
 
 
-@pytest.mark.slow
-def test_published_errors_are_those_of_contact_impedances():
-    fine = models.ModelCase("", "", ((4, 1), Grading(2e-6, 6e-3, 2.0)))
-    assert published_error(fine) < 3e-5
-
-
 # The world of tables and solutions
 
 
@@ -96,12 +87,12 @@ CASES = {case.name: case for case in cases()}
 
 
 def error(case, value, model=TABLE_MODEL, kind="press"):
-    return ModelError(case, kind, model, value, 0.1, 0.02, None, None)
+    return ModelError(case, kind, model, value, 0.1, 0.02)
 
 
 def test_errors_are_the_median_and_worst_of_tables_and_of_what_presses_change():
     errors = (
-        *(error("a", 0.01), error("b", 0.05), error("c", 1.1, KINEMATIC)),
+        *(error("a", 0.01), error("b", 0.05)),
         *(error("a", 0.2, SOLVED_MODEL), error("c", 0.02, SOLVED_MODEL)),
         error("d", 0.003, kind="bend"),
     )
@@ -109,7 +100,7 @@ def test_errors_are_the_median_and_worst_of_tables_and_of_what_presses_change():
     assert named["press / default, median [%]"] == 2.0
     assert named["press / default, cases"] == 3
     assert named["press / solved, worst [%]"] == 20.0
-    pressed, bent, *_ = sentences(errors)
+    pressed, bent = sentences(errors)
     assert "median 2.00 % (target 2 %), worst 5.00 % at b (target 4 %)" in pressed
     assert "worst 0.30 % at d" in bent
     flat, bent = CASES["plates_45_30"], CASES["plates_45_30_30deg"]
@@ -126,5 +117,5 @@ def test_a_quick_run_compares_a_press_and_a_bend(tmp_path):
     found = {(row["case"], row["model"]): row["error"] for row in data["rows"]}
     for case, limit in (("75_30", 0.04), ("independent_bend_20", 0.005)):
         assert found[case, TABLE_MODEL] < limit
-        assert found[case, KINEMATIC] > 0.5
+    assert found["independent_bend_20", KINEMATIC] > 0.5
     assert (tmp_path / "world" / "world.png").stat().st_size > 10_000

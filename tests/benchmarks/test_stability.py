@@ -17,7 +17,7 @@ from eitskin.benchmarks.stability import bends, electrical, extremes, solids
 from eitskin.benchmarks.stability import run as stability
 from eitskin.benchmarks.stability.case import Case, CaseValues, judge
 from eitskin.benchmarks.stability.ordinary_designs import ordinary_designs
-from eitskin.benchmarks.stability.random_designs import random_designs
+from eitskin.benchmarks.stability.run import random_designs
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import ForwardModel

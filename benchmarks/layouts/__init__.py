@@ -1,1 +1,0 @@
-"""Comparison of electrode layouts by Cramer-Rao bounds: `eitskin bench layouts`."""
