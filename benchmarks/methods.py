@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from eitskin.benchmarks.frames import frame_times, generate_missing
 from eitskin.benchmarks.paper.run import Contender
+from eitskin.benchmarks.paper.scores import frame_times, generate_missing
 from eitskin.benchmarks.results import Columns, Progress, Report, ReportTable, make_results
 from eitskin.datasets import Dataset, Recipe
 from eitskin.training import Method, Pipeline

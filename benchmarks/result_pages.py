@@ -133,9 +133,9 @@ def _tables(
             parts = list(key.rpartition(" / ")[::2])
         if not parts[0]:
             parts = list(key.rpartition(".")[::2])
-        row = parts[0].replace("&emsp;", "") or key
+        row = parts[0] or key
         column = parts[1] if parts[0] else "value"
-        if shown.fullmatch(f"{row} | {column}") and not re.search(r" #\d+$|\+-$", key):
+        if shown.fullmatch(f"{row} | {column}") and not key.endswith("+-"):
             spread = f" ± {figures[f'{key} +-']:.2g}" if f"{key} +-" in figures else ""
             digits = ",.0f" if value >= 1e4 else ".4g"
             rows.setdefault(row, {})[column] = f"{value:{digits}}{spread}"

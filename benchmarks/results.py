@@ -9,7 +9,6 @@ import io
 import math
 import re
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -91,36 +90,12 @@ class ReportTable:
         return cls(tuple(columns), cells, names)
 
     def figures(self, title: str = "") -> Iterator[tuple[str, float]]:
-        """Numbers of all cells but the first of each row, by `title / row / heading`.
-
-        The second and further numbers of a cell have keys that end in ` #2` and so on.
-        """
-        for label, row in zip(row_labels(self.rows), self.rows, strict=True):
-            for heading, cell in zip(self.headings[1:], row[1:], strict=True):
-                key = " / ".join(filter(None, (title, label.replace("  ", "&emsp;"), heading)))
-                for place, number in enumerate(NUMBER.findall(cell), 1):
-                    yield (f"{key} #{place}" if place > 1 else key), float(number.replace(",", ""))
-
-
-def row_labels(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Labels of rows: the first cell, with the second where that is a name as well.
-
-    Rows that are still called the same are numbered.
-    """
-    firsts = [row[0] for row in rows]
-    if len(set(firsts)) == len(firsts):
-        return firsts
-    seconds = [row[1] for row in rows]
-    joint_labels = [", ".join(pair) for pair in zip(firsts, seconds, strict=True)]
-    named = all(cell and not NUMBER.fullmatch(cell) for cell in seconds)
-    if named and len(set(joint_labels)) == len(joint_labels):
-        return joint_labels
-    label_counts: Counter[str] = Counter()
-    names = []
-    for first in firsts:
-        label_counts[first] += 1
-        names.append(f"{first} ({label_counts[first]})" if label_counts[first] > 1 else first)
-    return names
+        """First number of each cell but the first of its row, by `title / first / heading`."""
+        for label, *cells in self.rows:
+            for heading, cell in zip(self.headings[1:], cells, strict=True):
+                if number := NUMBER.search(cell):
+                    key = " / ".join(filter(None, (title, label, heading)))
+                    yield key, float(number[0].replace(",", ""))
 
 
 @dataclass(frozen=True, slots=True)

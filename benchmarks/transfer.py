@@ -1,7 +1,7 @@
 """Run of `bench transfer`: every pipeline in every world, by the labelled frames.
 
 Sensors of a world differ from those of the recipe "training". A pipeline is scored as it is, and
-adapted to each sensor by labelled frames. Cramer-Rao bounds say what noise leaves.
+adapted to each sensor by labelled frames.
 """
 
 import time
@@ -13,17 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.frames import generate_missing
-from eitskin.benchmarks.paper.scores import KNOWN_DEG, frame_scene
+from eitskin.benchmarks.paper.scores import KNOWN_DEG, generate_missing
 from eitskin.benchmarks.results import Columns, Progress, Report, ReportTable, make_results
 from eitskin.datasets import Dataset, Recipe, State
-from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Mounts
 from eitskin.geometry import DataError, EitskinError, Plates, SensorDesign
 from eitskin.simulator import FourTerminalMeter, Instrument
 from eitskin.training import Pipeline, Predictions
-from eitskin.training.evaluation.cramer_rao import scene_derivatives
 from eitskin.training.evaluation.scores import Matches, root_mean_square
 
 Array = NDArray[np.float64]
@@ -84,7 +81,6 @@ sensors, and besides."""
 ALL_WORLDS = WORLDS | {
     "on plates": ({}, {"sensor": replace(SensorDesign.reference(), support=Plates())}),
 }
-BOUND = "Cramer-Rao bound"
 _COLUMNS: Columns = {
     "pipeline": ("pipeline", "", 1),
     "world": ("world", "", 1),
@@ -240,42 +236,6 @@ def scores(pipeline: Pipeline, world: World, counts: LabelledCounts) -> Figures:
     return figures | {"sensors refused": refused / len(parts)}
 
 
-TOUCHED, BENT = 4, 4  # frames of each sensor, evenly among its frames
-
-
-def bounds(world: World, recipe: Recipe, progress: Progress) -> Figures:
-    """Bounds of some frames of every sensor, each of the sensor as it truly is.
-
-    The white noise of the recipe's instrument is all that they count: shape, contacts and bends of
-    the sensor are known. Places: mean distance, against the mean of as many untouched frames as the
-    recipe says, angle and force unknown. Angles: root mean square, of untouched frames against a
-    flat reference without noise.
-    """
-    placed, angles = [], []
-    numbers = world.frames.specimen_number
-    for number in np.unique(world.frames.specimen).tolist():
-        drawn_specimen = specimen(recipe, int(numbers[number]))
-        simulator = drawn_specimen.simulator(recipe.sensor, recipe.resolution, recipe.protocol)
-        full_scale = simulator.instrument_full_scale(recipe.instrument)
-        for state, count in ((State.TOUCH, TOUCHED), (State.BEND, BENT)):
-            mine = (world.frames.specimen == number) & (world.frames.state == state)
-            rows = np.flatnonzero(mine)
-            spread = np.linspace(0, len(rows) - 1, min(count, len(rows))).astype(int)
-            for row in rows[spread].tolist():
-                scene = frame_scene(world.frames, row)
-                derivatives = scene_derivatives(simulator, scene, instrument=recipe.instrument)
-                noise = derivatives.noise(recipe.instrument, full_scale)
-                if state == State.TOUCH:
-                    placed.append(derivatives.bound(noise, recipe.reference_frames).distance)
-                else:
-                    angles.append(derivatives.bound(noise, np.inf).angle_deg)
-        progress(f"bounds: {world.name}", number + 1, len(numbers))
-    return {
-        "place, mean [mm]": 1e3 * float(np.mean(np.concatenate(placed))),
-        "angle, rms [deg]": root_mean_square(np.array(angles)),
-    }
-
-
 LABELLED_COUNTS = tuple(
     LabelledCounts(*each) for each in ((0, 0), (1, 0), (5, 0), (5, 15), (20, 80))
 )
@@ -305,18 +265,12 @@ def run(
                 names = {"pipeline": name, "world": world.name, "labelled": str(labelled)}
                 rows.append(names | scores(pipeline, world, labelled))
     progress("scores", len(worlds) * len(pipelines), len(worlds) * len(pipelines))
-    limits: list[dict[str, Any]] = [
-        {"pipeline": BOUND, "world": world.name, "labelled": ""}
-        | bounds(world, recipes(world.name, seed, quick)[0], progress)
-        for world in worlds
-    ]
     figures: list[tuple[str, float]] = []
-    for row in (*rows, *limits):
-        where = ", ".join(filter(None, (row["world"], row["labelled"])))
-        start = f"{row['pipeline']} / {where}"
+    for row in rows:
+        start = f"{row['pipeline']} / {row['world']}, {row['labelled']}"
         figures += [(f"{start} / {name}", row[name]) for name in list(row)[3:]]
     return Report(
         results=make_results("transfer", figures, began=began, seed=seed, quick=quick),
         rows=[{name: row.get(name) for name, *_ in _COLUMNS.values()} for row in rows],
-        tables=[ReportTable.from_rows((*rows, *limits), _COLUMNS, 3)],
+        tables=[ReportTable.from_rows(rows, _COLUMNS, 3)],
     )

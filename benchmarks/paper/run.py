@@ -79,15 +79,6 @@ def _pictures(
     )
 
 
-def _step(angle_deg: int, count: int) -> tuple[TableLine, ...]:
-    name = f"demo.{angle_deg}deg.{count}"
-    return (
-        TableLine(f"{name}.state", f"  {count} touches at {angle_deg} deg: state right", "%"),
-        TableLine(f"{name}.found", "    found", "%"),
-        TableLine(f"{name}.error_mm", "    error", "mm"),
-    )
-
-
 LINES: tuple[TableLine, ...] = (
     *_touches("indentation", "one touch at 27 places, flat: error", ("4.8", "2.8"), "<= 1.5"),
     *_touches("touch.1", "one touch at -10 to 50 deg: error", ("", ""), "<= 1.5"),
@@ -109,7 +100,6 @@ LINES: tuple[TableLine, ...] = (
     TableLine("calibrated.touched_deg", "  RMSE while touched", "deg", "", "<= 0.6"),
     TableLine("demo.state", "demonstration: state right", "%"),
     TableLine("demo.angle_deg", "  angle, RMSE", "deg"),
-    *(line for step in ((-10, 2), (20, 3), (40, 4), (0, 4)) for line in _step(*step)),
     TableLine("time.p50_ms", "processing of a touched frame, median", "ms", "303.6"),
     TableLine("time.p99_ms", "  99th percentile", "ms", "", "<= 5"),
 )
@@ -183,7 +173,6 @@ def run(
     ]
     figures: dict[str, list[Figures]] = {name: [] for name in columns}
     bounds: list[Figures] = []
-    ratios = []
     for seed in range(seeds):
         place = folder / f"{'quick-' if quick else ''}seed-{seed}"
         sets = make(place, seed, quick, workers, progress)
@@ -206,7 +195,6 @@ def run(
         count = BOUNDED_QUICK if quick else BOUNDED
         bounds.append(paper_scores.bounds(sets.unseen, sets.recipe, count, seed))
         note("done", len(trained) + 2)
-        ratios.append(paper_scores.signal_to_noise(sets.unseen))
     options = f"--seeds {seeds} --paper-seeds {len(figures[OWN])}"
     options += "".join(f" {contender.option}" for contender in contenders)
     measured_columns = {name: values for name, values in figures.items() if values}
@@ -215,9 +203,10 @@ def run(
         ("experiment", "paper", *measured_columns, "to reach", "bound", "ours / bound"),
         list(_table(measured_columns, bounds)),
     )
-    named = dict(_figures(with_bounds)) | dict(shown.figures())
     return Report(
-        results=make_results("paper", named.items(), began=began, quick=quick, options=options),
+        results=make_results(
+            "paper", _figures(with_bounds), began=began, quick=quick, options=options
+        ),
         rows=[
             {"column": column, "seed": seed, "figure": figure, "value": value}
             for column, some in with_bounds.items()
@@ -232,11 +221,6 @@ def run(
             SSIM_DEFINITION,
             f"touches are matched by the Hungarian method within {1e3 * GATE:g} mm",
             "bounds: white noise alone, of the nominal sensor, some of the frames, one at a time",
-            *(
-                f"seed {seed}: signal to noise of a touch, rms, per channel: {ratio.min():.1f} "
-                f"least, {np.median(ratio):.1f} median, {ratio.max():.1f} most"
-                for seed, ratio in enumerate(ratios)
-            ),
             f"instrument: {_terms(sets.recipe.instrument)}",
             f"specimens: {_terms(sets.recipe.specimens)}",
         ],

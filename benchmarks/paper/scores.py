@@ -1,16 +1,17 @@
-"""The paper's experiments: datasets, scores of a pipeline, their bounds, and signal to noise."""
+"""The paper's experiments: datasets, scores of a pipeline, and their bounds."""
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.frames import frame_times, generate_missing
 from eitskin.benchmarks.results import Progress
-from eitskin.datasets import Dataset, Recipe, State
+from eitskin.datasets import Dataset, Recipe, State, generate, open_dataset
 from eitskin.datasets.recipe.episode import Episodes, ScriptedEpisode
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.scene_group import SceneGroup
@@ -23,7 +24,6 @@ from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.scores import (
     TouchScore,
     determination,
-    match_distances,
     root_mean_square,
 )
 
@@ -79,6 +79,18 @@ def make(folder: Path, seed: int, quick: bool, workers: int, progress: Progress)
     )
     calibration = {name: datasets[f"calibration-{name}"] for name in CALIBRATED_SETS}
     return Sets(training, own, unseen, calibration, all_recipes["unseen-touch"])
+
+
+def generate_missing(
+    recipe: Recipe, folder: Path, workers: int, progress: Progress, part: str
+) -> Dataset:
+    """Generate the frames of a recipe that `folder` does not have yet, and open all.
+
+    Progress is of a `part`. Raises ConfigurationError where `folder` holds another recipe's.
+    """
+    resume = (folder / "recipe.toml").is_file()
+    generate(recipe, folder, workers, partial(progress, part), resume=resume)
+    return open_dataset(folder)
 
 
 def recipes(seed: int, quick: bool) -> Iterator[tuple[str, Recipe]]:
@@ -217,6 +229,27 @@ def touch_scores(pipeline: Pipeline, data: Dataset) -> Figures:
     return figures | {"time.p50_ms": 1e3 * p50, "time.p99_ms": 1e3 * p99}
 
 
+def frame_times(
+    pipeline: Pipeline,
+    data: Dataset,
+    rows: Sequence[int],
+    clock: Callable[[], float] = time.perf_counter,
+) -> NDArray[np.float64]:
+    """Time [s] of `process` for each of the frames in `rows`, after its two references."""
+    seconds, template = np.zeros(len(rows)), data.frame(0)
+    for number, row in enumerate(rows):
+        pipeline.reset()
+        flat, free = data.reference[data.specimen[row]], data.touch_reference[row]
+        for n, values in enumerate((flat, free, data.impedance[row])):
+            impedance = values.astype(np.complex128)
+            frame = dataclasses.replace(template, impedance=impedance, time=0.3 * n, number=n)
+            start = clock()
+            pipeline.process(frame)
+            seconds[number] = clock() - start
+    pipeline.reset()
+    return seconds
+
+
 def bend_scores(pipeline: Pipeline, data: Dataset) -> Figures:
     """Scores of the bend angle, of single frames and of a sequence in its order."""
     if not pipeline.targets.angle:
@@ -235,26 +268,13 @@ def bend_scores(pipeline: Pipeline, data: Dataset) -> Figures:
 
 
 def demo_scores(pipeline: Pipeline, data: Dataset) -> Figures:
-    """Scores of the demonstration: states, angles, and touches at each of its steps."""
+    """Scores of the demonstration: states and angles."""
     estimates = list(replay(pipeline, data))
     right = np.array([estimate.state for estimate in estimates]) == data.state
     figures: Figures = {"demo.state": float(right.mean())} if pipeline.targets.states else {}
     if pipeline.targets.angle:
         estimated = np.array([estimate.bend_angle_deg for estimate in estimates], dtype=float)
         figures["demo.angle_deg"] = root_mean_square(estimated - data.bend_angle_deg)
-    if not pipeline.targets.touches:
-        return figures
-    counts = data.touch_count
-    steps = dict.fromkeys(zip(data.bend_angle_deg.tolist(), counts.tolist(), strict=True))
-    for angle, count in (step for step in steps if step[1]):
-        rows = np.flatnonzero((data.bend_angle_deg == angle) & (counts == count))
-        distances = [d for row in rows for d in _distances(data, int(row), estimates[row])]
-        name = f"demo.{angle:g}deg.{count}"
-        if pipeline.targets.states:
-            figures[f"{name}.state"] = float(right[rows].mean())
-        figures[f"{name}.found"] = len(distances) / (count * len(rows))
-        if distances:
-            figures[f"{name}.error_mm"] = 1e3 * float(np.mean(distances))
     return figures
 
 
@@ -304,27 +324,8 @@ def _touches(name: str, score: TouchScore) -> Figures:
     return figures | {f"{name}.ssim.{picture}": value for picture, value in score.ssim.items()}
 
 
-def _distances(data: Dataset, row: int, estimate: Estimate) -> list[float]:
-    true = np.stack([data.touch_x[row], data.touch_y[row]], axis=1)
-    positions = [touch[:2] for touch in estimate.touches or ()]
-    return match_distances(true[np.isfinite(true[:, 0])], positions)
-
-
 def _optional_figure(name: str, value: float | None) -> Figures:
     return {} if value is None else {name: value}
-
-
-def signal_to_noise(sets: Mapping[str, Dataset]) -> Array:
-    """Root mean square of all touches' signals over that of a frame's noise, (channels,).
-
-    Idle frames minus their reference are noise.
-    """
-    touched = [_changes(sets[name]) for name in ("indentation", "touch")]
-    idle = sets["states"].select(sets["states"].state == State.IDLE)
-    # The reference adds the noise of the mean of its frames.
-    noise = _rms(_changes(idle)) / np.sqrt(1.0 + 1.0 / idle.reference_frames)
-    ratio: Array = _rms(np.concatenate(touched)) / noise
-    return ratio
 
 
 def bounds(sets: Mapping[str, Dataset], recipe: Recipe, count: int, seed: int) -> dict[str, float]:
@@ -372,15 +373,3 @@ def frame_scene(data: Dataset, row: int) -> Scene:
     places = zip(data.touch_x[row], data.touch_y[row], data.touch_force[row], strict=True)
     touches = (Touch(float(x), float(y), float(f)) for x, y, f in places if np.isfinite(x))
     return Scene(Bend(float(data.bend_angle_deg[row])), tuple(touches))
-
-
-def _changes(data: Dataset) -> Array:
-    """Change from the untouched sensor at the same bend over the flat magnitude, (n, channels)."""
-    size = np.abs(data.reference[data.specimen])
-    change: Array = (data.impedance - data.touch_reference).real.astype(float) / size
-    return change
-
-
-def _rms(values: Array) -> Array:
-    rms: Array = np.sqrt(np.mean(values**2, axis=0))
-    return rms

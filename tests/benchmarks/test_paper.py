@@ -12,7 +12,7 @@ from touched_dataset import touched_dataset
 
 from eitskin.benchmarks.paper import run as paper
 from eitskin.benchmarks.paper import scores as paper_scores
-from eitskin.benchmarks.paper.scores import KNOWN_DEG, Sets, recipes, signal_to_noise
+from eitskin.benchmarks.paper.scores import KNOWN_DEG, Sets, recipes
 from eitskin.benchmarks.results import read_results
 from eitskin.datasets import Dataset, Recipe, State
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
@@ -151,9 +151,9 @@ def test_figures_are_what_the_pipelines_are_known_to_do(measured):
     columns = {paper.OWN: (5.0, 2.0), paper.UNSEEN: (5.0, 2.0), paper.OURS: (1.0, 0.5)}
     for (column, (millimetres, degrees)), seed in itertools.product(columns.items(), (0, 1)):
         figures = by_run[column, seed]
-        for name in ("indentation", "touch.1", "touch.2", "touch.4", "touch", "demo.20deg.3"):
+        for name in ("indentation", "touch.1", "touch.2", "touch.4", "touch"):
             assert figures[f"{name}.error_mm"] == pytest.approx(millimetres, rel=1e-4)
-        for name in ("touch.4.found", "state.touch", "demo.state", "demo.20deg.3.found"):
+        for name in ("touch.4.found", "state.touch", "demo.state"):
             assert figures[name] == 1.0
         for name in ("bend", "touch", "sequence", "demo"):
             assert figures[f"{name}.angle_deg"] == pytest.approx(degrees, rel=1e-4)
@@ -165,13 +165,6 @@ def test_figures_are_what_the_pipelines_are_known_to_do(measured):
     assert "calibrated.angle_deg" not in by_run[paper.OWN, 0]
     assert read_results(folder / "results.json").figures[f"{paper.OURS}: touch.4.found"] == 100.0
     assert (folder / "paper-touches.png").is_file()
-
-
-def test_signal_to_noise_is_per_channel():
-    ratios = signal_to_noise(experiments(500) | {"states": dataset([(0, 0)] * 2000, 9)})
-    assert np.median(ratios) == pytest.approx(STRENGTH / NOISE, rel=0.02)
-    assert ratios == pytest.approx(STRENGTH / NOISE, rel=0.085)
-    assert len(set(ratios.tolist())) == 28
 
 
 @pytest.mark.slow

@@ -91,11 +91,6 @@ def test_the_command_measures_the_shipped_pipeline(tmp_path, monkeypatch):
     assert found[f"{adapted} / {ratio}"] != found[f"{free} / {ratio}"]
     assert found[f"{adapted} / {place}"] == pytest.approx(found[f"{free} / {place}"], rel=0.05)
     assert found[f"{free} / untouched states right"] > 0.9
-    # Noise alone leaves less than any pipeline errs, and not much less.
-    bound = found[f"Cramer-Rao bound / nominal / {place}"]
-    assert 0.5 * found[f"{free} / {place}"] < bound < 1.2 * found[f"{free} / {place}"]
-    bound = found[f"Cramer-Rao bound / nominal / {error}"]
-    assert 0.05 < bound < found[f"{adapted} / {error}"]
 
 
 # Life
