@@ -54,7 +54,6 @@ def cases(seed: int, quick: bool) -> dict[str, Iterable[Case]]:
         "compositions": bends.compositions(quick),
         "incompressible": solids.incompressible(quick),
         "presses": solids.presses(quick),
-        "whole stacks": solids.stacks(quick),
         "extreme presses": extremes.extremes(quick),
         "conductivity contrast": electrical.contrasts(ratios),
         "contact impedance": electrical.contacts(),

@@ -1,8 +1,7 @@
-"""Cases of nearly incompressible layers, of presses to their limits, and on whole stacks.
+"""Cases of nearly incompressible layers, and of presses to their limits.
 
 Always true: the base pushes back with the force on the indenter, and every layer keeps its
-volume. On whole stacks the support carries the force of the indenter, to 3 % by the quadrature of
-the dent on coarse cells, and the gel keeps its volume.
+volume.
 """
 
 from collections.abc import Iterator
@@ -15,29 +14,15 @@ from numpy.typing import NDArray
 from eitskin.benchmarks.stability.case import Case, CaseValues
 from eitskin.benchmarks.stability.closed_forms import punched_layer
 from eitskin.geometry import (
-    Bend,
-    Clamp,
-    Free,
-    Plates,
-    Rectangle,
-    Rigid,
     SensorDesign,
-    Substrate,
-    Support,
 )
-from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading, graded_lines
 from eitskin.simulator import Cylinder, Mechanics, Sphere
-from eitskin.simulator.bends import bend_table
-from eitskin.simulator.deformation.contact import ContactFrame, DentField
-from eitskin.simulator.deformation.finite_stack import FiniteStack
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
-from eitskin.simulator.mechanics.fitted_plan import Contact
-from eitskin.simulator.mechanics.layer_stack import Indentation, Sheet, Stack
+from eitskin.simulator.mechanics.layer_stack import Sheet, Stack
 from eitskin.simulator.mechanics.load_stepping import Load, SolidError, newton
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.mechanics.mixed_solid import STIFFEST, Solid
-from eitskin.simulator.mechanics.stack_mesh import Fineness, stack_mesh
 from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]
@@ -151,102 +136,4 @@ def _press_case(stack: Stack, indenter: Indenter, finest: float, steps: int) -> 
         reached=f"{found.depth / stack.levels[-1]:.0%} deep, {found.force:.1f} N, layers left "
         f"{', '.join(f'{share:.1%}' for share in thickness_ratio)}, least J {least:.2f}",
         reason=refused,
-    )
-
-
-_OUTLINE = Rectangle(0.090, 0.050)
-_PLACE = (0.040, 0.022)
-_GEL = 5.0 / 12.0  # of the thickness of the stack
-_DEEP, _STEP, _CELL = 0.15, 0.02, 1.0 / 12.0  # over the thickness; over the radius
-_ONE_LAYER = Fineness(ends=0.0, sides=0.0, layers=1)
-
-
-def stacks(quick: bool) -> Iterator[Case]:
-    """Cases of a rough cylinder of 15 mm, or as thick as a thin stack, on 90 x 50 mm."""
-    yield _stack("rigid")
-    if quick:
-        return
-    yield _stack("plates, shallow", support=Plates(), depth=0.05)
-    yield _stack("plates, deep", support=Plates(), depth=0.2)
-    yield _stack("substrate of 1 kPa", support=Substrate(0.01, 1e3))
-    yield _stack("substrate of 1 MPa", support=Substrate(0.01, 1e6))
-    yield _stack("free, shallow", support=Free(), depth=0.02)
-    yield _stack("free, deep", support=Free(), depth=0.1)
-    for angle in (-20.0, 60.0):
-        yield _stack(f"plates bent by {angle:g} deg", support=Plates(), depth=0.05, angle=angle)
-    for nu in (0.4999, 0.49999):
-        yield _stack(f"nu = {nu:g}", Mechanics(bulk_ratio=_bulk_ratio(nu)))
-    for factor in (0.01, 100.0):
-        around = NeoHookean(factor * Mechanics().gel.shear_modulus)
-        yield _stack(f"casing of {factor:g} mu", Mechanics(encapsulation=around))
-    for thickness in (0.0005, 0.002, 0.030):
-        yield _stack(f"{1e3 * thickness:g} mm thick", thickness=thickness)
-    yield _stack("gel thinned by 40 %", thinning=0.4)
-
-
-def _stack(
-    name: str,
-    mechanics: Mechanics = Mechanics(),  # noqa: B008 - frozen
-    *,
-    support: Support = Rigid(),  # noqa: B008 - frozen
-    thickness: float = 0.012,
-    depth: float = _DEEP,
-    thinning: float | None = None,
-    angle: float = 0.0,
-) -> Case:
-    """Case of a stack of a thickness [m] on a support; the others as in `_pressed_stack`."""
-    design = SensorDesign(
-        _OUTLINE,
-        _GEL * thickness,
-        uniform(_OUTLINE, 8),
-        encapsulated_thickness=thickness,
-        support=support,
-    )
-    solve = partial(_pressed_stack, design, mechanics, depth, thinning, angle)
-    return Case(name, solve, None, invariant_limit=0.05)
-
-
-def _pressed_stack(
-    design: SensorDesign,
-    mechanics: Mechanics,
-    depth: float,
-    thinning: float | None,
-    angle: float,
-) -> CaseValues:
-    """Press on the whole stack, to a depth over the thickness or until the gel is thinned.
-
-    The indenter presses along the normal of a stack that is bent by an angle [deg].
-    """
-    stack = mechanics.stack(design)
-    punch = Cylinder(min(0.0075, stack.levels[-1]))
-    dent = _dent(AxisymmetricPress(stack, punch, _CELL * punch.radius), depth, thinning)
-    contacts = [Contact(*_PLACE, punch.radius)]
-    body = stack_mesh(_OUTLINE, stack, mechanics, design.support, contacts, _ONE_LAYER)
-    bent, frame, normal = None, None, np.array([0.0, 0.0, 1.0])
-    if angle:
-        bent = bend_table.equilibrium(design, Clamp(), mechanics, Bend(angle))
-        frame = ContactFrame.from_bent_top(bent, *_PLACE, stack)
-        normal = frame.normal
-    solved = FiniteStack(body, bend=bent)
-    found = solved.correction([DentField(*_PLACE, punch, dent, frame)])
-    solid = solved.solid
-    carried = float(solved.reaction(found) @ normal)
-    J, weights = solid.volume_ratio(found.unknowns), solid.weights
-    gel = body.gel_cells
-    volume = float((J[gel] * weights[gel]).sum() / weights[gel].sum())
-    return CaseValues(
-        invariant=max(abs(carried / dent.force - 1.0), abs(volume - 1.0)),
-        reached=f"{1e3 * dent.depth:.2f} mm deep, {1e3 * found.sunk[0]:.2g} mm deeper than without "
-        f"sides, {dent.force:.2g} N, J {J[gel].min():.2f} to {J[gel].max():.2f}",
-    )
-
-
-def _dent(press: AxisymmetricPress, depth: float, thinning: float | None) -> Indentation:
-    thickness, gel = press.stack.levels[-1], press.stack.gel
-    if thinning is None:
-        return press.to_depth(depth * thickness)
-    return next(
-        indentation
-        for part in np.arange(_STEP, 1.0, _STEP)
-        if (indentation := press.to_depth(part * thickness)).thinning(gel) >= thinning
     )
