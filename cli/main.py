@@ -8,7 +8,6 @@ import typer
 from eitskin import __version__
 from eitskin.cli.commands import (
     bench,
-    board,
     check,
     dataset,
     export,
@@ -48,7 +47,7 @@ PANELS: dict[str, dict[str, Any]] = {
         "check": check.command,
         "tare": tare.command,
         "setup": setup.command,
-        "virtual-board": board.command,
+        "virtual-board": simulate.virtual_board,
     },
     "Images": {"reconstruct": reconstruct.command, "mesh": simulate.mesh},
     "Expert": {"bench": bench.app, "fit": fits.app},

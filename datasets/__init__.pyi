@@ -2,7 +2,6 @@
 
 from eitskin.datasets.export.export import export_dataset as export_dataset
 from eitskin.datasets.generation.generate import generate as generate
-from eitskin.datasets.generation.verification import verify as verify
 from eitskin.datasets.recipe.recipe import Recipe as Recipe
 from eitskin.datasets.recordings.recorded_file import (
     RecordingForm as RecordingForm,
@@ -30,6 +29,7 @@ from eitskin.datasets.store.folder import (
 from eitskin.datasets.store.frame_tensors import touch_maps as touch_maps
 from eitskin.datasets.store.rewriting import combine as combine
 from eitskin.datasets.store.rewriting import compact as compact
+from eitskin.datasets.store.rewriting import verify as verify
 from eitskin.datasets.store.schema import (
     UNKNOWN_STATE as UNKNOWN_STATE,
 )

@@ -15,7 +15,7 @@ from typing import Any, get_args
 import numpy as np
 
 from eitskin.benchmarks.results import Report, ReportTable, Watch, make_results
-from eitskin.benchmarks.stability import bends, electrical, extremes, solids
+from eitskin.benchmarks.stability import electrical, extremes, mechanical
 from eitskin.benchmarks.stability.case import QUANTITIES, Case, CaseValues, Outcome, judge
 from eitskin.benchmarks.stability.electrical import imbalance
 from eitskin.benchmarks.stability.ordinary_designs import ordinary_designs
@@ -49,11 +49,11 @@ def cases(seed: int, quick: bool) -> dict[str, Iterable[Case]]:
     ratios = (1e-6, 1e6) if quick else (1e-6, 1e-4, 1e-2, 1e2, 1e4, 1e6)
     shares = (0.01,) if quick else (0.5, 0.1, 0.01, 1e-3)
     return {
-        "bends": bends.bends(quick),
-        "rolls and twists": bends.rolls_and_twists(quick),
-        "compositions": bends.compositions(quick),
-        "incompressible": solids.incompressible(quick),
-        "presses": solids.presses(quick),
+        "bends": mechanical.bends(quick),
+        "rolls and twists": mechanical.rolls_and_twists(quick),
+        "compositions": mechanical.compositions(quick),
+        "incompressible": mechanical.incompressible(quick),
+        "presses": mechanical.presses(quick),
         "extreme presses": extremes.extremes(quick),
         "conductivity contrast": electrical.contrasts(ratios),
         "contact impedance": electrical.contacts(),

@@ -276,7 +276,7 @@ def layouts(
 
 @app.command("all", cls=Command)
 @options.with_output
-def run_all(
+def bench_all(
     out: Out = _OUT,
     *,
     only: Annotated[list[str] | None, typer.Option(help="Name of a benchmark. Repeatable.")] = None,
@@ -299,16 +299,15 @@ def run_all(
 
     Goes on after a benchmark that failed; the exit code is 1 then.
     """
-    from eitskin.benchmarks import suite
-    from eitskin.benchmarks.results import INDEX, write_index
+    from eitskin.benchmarks.results import INDEX, run_all, select_benchmarks, write_index
 
-    chosen = suite.select_benchmarks(only, long or quick)
+    chosen = select_benchmarks(only, long or quick)
     if only is None:
         require_all(training=options.TRAINING, hardware="serial cobs", bench="matplotlib")
     _make(out)
     done = []
     with options.ended_by_signals():  # or the benchmark that runs would go on without this one
-        for each in suite.run_all(chosen, out, seed, quick=quick, fresh=fresh, data=data):
+        for each in run_all(chosen, out, seed, quick=quick, fresh=fresh, data=data):
             done.append(each)
             why = f": {each.why}" if each.why else f" in {each.seconds:.0f} s"
             output.note(f"{len(done)} of {len(chosen)}: {each.name} {each.outcome}{why}")

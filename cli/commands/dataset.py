@@ -15,7 +15,7 @@ from eitskin.cli.options import FramesPath, Output, with_output
 from eitskin.errors import DataError
 
 if TYPE_CHECKING:
-    from eitskin.datasets.generation.verification import DamagedFile
+    from eitskin.datasets.store.rewriting import DamagedFile
 
 app = typer.Typer(help="Show, verify, compact or combine datasets.", no_args_is_help=True)
 
@@ -66,7 +66,7 @@ def check(
     output: Output,
 ) -> None:
     """Check every file of a dataset and list all damage; exit code 3 where there is any."""
-    from eitskin.datasets.generation.verification import verify
+    from eitskin.datasets.store.rewriting import verify
 
     with output.counting("shards") as show:
         verdict = verify(dataset, show, workers)

@@ -14,6 +14,7 @@ from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.folder import make_folder, require_empty
 from eitskin.datasets.store.manifest import (
     MANIFEST,
+    RECIPE,
     Manifest,
     ShardEntry,
     read_manifest,
@@ -32,7 +33,6 @@ from eitskin.datasets.store.worker_processes import (
 from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.files import TEMPORARY, read_bytes, remove_file, remove_leftovers, write_file
 
-RECIPE = "recipe.toml"
 # Lower bound for any frame: noise does not compress, and each channel is stored twice.
 _MIN_BYTES_PER_CHANNEL = 4
 

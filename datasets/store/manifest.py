@@ -21,6 +21,7 @@ from eitskin.files import parse_json, quote_value, read_bytes, write_file
 from eitskin.simulator.deformation.solution_store import cache_folder
 
 MANIFEST = "manifest.json"
+RECIPE = "recipe.toml"
 MAX_BYTES = 1 << 28  # of a manifest; a million shards take 150 MB
 
 

@@ -14,7 +14,8 @@ import typer
 from command_line import run
 from typer.testing import CliRunner
 
-from eitskin.benchmarks import suite, transfer
+from eitskin.benchmarks import results as suite
+from eitskin.benchmarks import transfer
 from eitskin.benchmarks.leaderboard import (
     SEED,
     TRACKS,
@@ -36,15 +37,17 @@ from eitskin.benchmarks.result_pages import (
     with_figures,
 )
 from eitskin.benchmarks.results import (
+    ALL,
+    Benchmark,
     Report,
     ReportTable,
     Results,
     found_results,
     make_results,
     read_results,
+    run_all,
     write_index,
 )
-from eitskin.benchmarks.suite import ALL, Benchmark, run_all
 from eitskin.benchmarks.transfer import WORLDS
 from eitskin.cli.main import app
 from eitskin.datasets import Recipe

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eitskin.benchmarks.results import read_results
-from eitskin.benchmarks.stability import bends, electrical, extremes, solids
+from eitskin.benchmarks.stability import electrical, extremes, mechanical
 from eitskin.benchmarks.stability import run as stability
 from eitskin.benchmarks.stability.case import Case, CaseValues, judge
 from eitskin.benchmarks.stability.ordinary_designs import ordinary_designs
@@ -91,13 +91,13 @@ def test_the_heat_balance_sees_a_wrong_conductivity():
 @pytest.mark.parametrize(
     ("cases", "name", "outcome"),
     [
-        (bends.bends, "whole length to 360 deg", "ok"),
-        (bends.bends, "hinge, up, to the end", "ok"),
-        (bends.bends, "hinge, up, past it", "refused"),
-        (bends.rolls_and_twists, "roll, 360 deg", "ok"),
-        (bends.compositions, "press, arc of 360 deg", "ok"),
-        (bends.compositions, "two presses 0 mm apart", "refused"),
-        (solids.incompressible, "nu = 0.49999", "ok"),
+        (mechanical.bends, "whole length to 360 deg", "ok"),
+        (mechanical.bends, "hinge, up, to the end", "ok"),
+        (mechanical.bends, "hinge, up, past it", "refused"),
+        (mechanical.rolls_and_twists, "roll, 360 deg", "ok"),
+        (mechanical.compositions, "press, arc of 360 deg", "ok"),
+        (mechanical.compositions, "two presses 0 mm apart", "refused"),
+        (mechanical.incompressible, "nu = 0.49999", "ok"),
         (ordinary_designs, "disc", "ok"),
     ],
 )
@@ -140,7 +140,7 @@ def test_a_press_says_how_far_it_went_and_why_no_farther(monkeypatch):
         return to_depth(self, depth)
 
     monkeypatch.setattr(AxisymmetricPress, "to_depth", shallow)
-    (case,) = solids.presses(quick=True)
+    (case,) = mechanical.presses(quick=True)
     row = judge(case)
     assert (row["outcome"], row["reached"][:10]) == ("refused", "30% deep, ")
     assert row["residual"] < 1e-9

@@ -189,8 +189,8 @@ def test_recordings_keep_status_count_losses_and_wait_as_recorded_or_are_refused
 def test_eitskin_board_serves_one_host_after_the_other_until_interrupted(ended_by, tmp_path):
     # A program in the background of a script inherits that SIGINT is ignored.
     heard = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    script = heard + "import typer; from eitskin.cli.commands.board import command; "
-    script += "typer.run(command)"
+    script = heard + "import typer; from eitskin.cli.commands.simulate import virtual_board; "
+    script += "typer.run(virtual_board)"
     options = ["--speed", "max", "--quiet", "--link", str(tmp_path / "tty")]
     process = subprocess.Popen(
         [sys.executable, "-c", script, *options],
