@@ -209,7 +209,6 @@ class PointElectrodeModel:
 
     Attributes:
         nodes: number of nodes.
-        setup_seconds: time of a new geometry, beyond making the mesh [s].
     """
 
     def __init__(self, design: SensorDesign, mesh: Mesh, plane: bool) -> None:
@@ -224,11 +223,9 @@ class PointElectrodeModel:
         self.nodes = len(nodes)
         self._electrodes = away.argmin(axis=1)
         self._points = _evaluation_points(nodes[elements], design.thickness)
-        start = time.process_time()
         self._forward = fem.Forward(
             wrapper.PyEITMesh(node=nodes, element=elements, el_pos=self._electrodes)
         )
-        self.setup_seconds = time.process_time() - start
 
     def frame(self, background: float) -> Frame:
         """Function from the deformed layer to the resistances of all pairs [ohm]."""

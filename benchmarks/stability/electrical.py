@@ -1,4 +1,4 @@
-"""Cases of extreme conductivities, contacts, layers, electrodes and cells.
+"""Cases of extreme conductivities, contacts, layers and electrodes.
 
 Always true: power is not given back; the power put in is the power that body and contacts turn
 into heat; by the other factorisation, the one with which sensitivities are computed.
@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from eitskin.benchmarks.stability.case import Case, CaseValues
 from eitskin.benchmarks.stability.closed_forms import block, shunt_pair
-from eitskin.geometry import Electrode, Layer, Polygon, Rectangle, SensorDesign
+from eitskin.geometry import Electrode, Layer, Rectangle, SensorDesign
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.geometry.meshing.mesh import check_quality, quality
-from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design
+from eitskin.geometry.meshing.mesh_design import CellKind
 from eitskin.simulator import ForwardModel, Protocol
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 from eitskin.simulator.linalg.sparse_structure import OrderName
@@ -81,29 +80,17 @@ def solve_both(
         middles = model.mesh.points[model.mesh.cells].mean(axis=1)
         sigma = None if conductivity is None else conductivity(middles)
         impedances.append(protocol.measure(model.impedance(sigma)))
-        if cells == "tetrahedra":  # no two meshes are the same
-            break
     if not callable(exact):
         error = None if exact is None else relative_difference(impedances[-1], np.array([exact]))
     else:
         error = exact(impedances[-1], model)
-    residual = relative_difference(impedances[0], impedances[1]) if len(impedances) > 1 else None
-    return CaseValues(residual, imbalance(model, sigma), error)
+    return CaseValues(relative_difference(*impedances), imbalance(model, sigma), error)
 
 
-def bar(
-    *z: complex,
-    layers: tuple[Layer, ...] = (),
-    outline: Rectangle = OUTLINE,
-    thickness: float = H,
-) -> SensorDesign:
+def bar(*z: complex, layers: tuple[Layer, ...] = ()) -> SensorDesign:
     """Block between electrodes over its two whole ends x = 0 and x = length."""
-    length, width = outline.length, outline.width
-    ends = (
-        Electrode(0.0, 0.5 * width, width, z[0]),
-        Electrode(length, 0.5 * width, width, z[-1]),
-    )
-    return SensorDesign(outline, thickness, ends, layers=layers)
+    ends = (Electrode(0.0, 0.5 * W, W, z[0]), Electrode(L, 0.5 * W, W, z[-1]))
+    return SensorDesign(OUTLINE, H, ends, layers=layers)
 
 
 def outside(R: Numbers, low: Numbers, high: Numbers) -> float:
@@ -164,7 +151,7 @@ def _half(ratio: float) -> CaseValues:
     return solve_both(SensorDesign.reference(), "fast", error, **_changed_half(ratio))
 
 
-# Layers and cells
+# Layers
 
 
 def layers(ratios: Sequence[float], shares: Sequence[float]) -> Iterator[Case]:
@@ -208,21 +195,13 @@ def contacts() -> Iterator[Case]:
         yield Case(f"{bad:.2g}", solve, "refused", "contact_impedance must be")
 
 
-def _bar(
-    z: tuple[complex, complex] = (1e-9, 1e-9),
-    outline: Rectangle = OUTLINE,
-    sizes: Grading = COARSE,
-    cells: CellKind | None = None,
-    thickness: float = H,
-) -> CaseValues:
+def _bar(z: tuple[complex, complex]) -> CaseValues:
     """Block whose own resistance L / (sigma A) must stay accurate next to large contacts."""
-    area = outline.width * thickness
 
     def error(R: Numbers, _: ForwardModel) -> float:
-        return relative_difference(R - sum(z) / area, np.array([outline.length / area]))
+        return relative_difference(R - sum(z) / AREA, np.array([L / AREA]))
 
-    design = bar(*z, outline=outline, thickness=thickness)
-    return solve_both(design, ((2,), sizes), error, cells=cells)
+    return solve_both(bar(*z), ((2,), COARSE), error)
 
 
 def _strips(sigma: float) -> CaseValues:
@@ -248,7 +227,7 @@ def _buried_case(z: complex) -> CaseValues:
     return solve_both(whole, "fast", error)
 
 
-# Electrodes of extreme sizes and positions, and extreme cells
+# Electrodes of extreme sizes and positions
 
 Spans = Sequence[tuple[float, float]]
 
@@ -302,46 +281,3 @@ def _shunt(spans: Spans, cells: CellKind = "hexahedra") -> CaseValues:
 def _pair_case(spans: Spans) -> CaseValues:
     """Pair of electrodes without a closed form: only the invariants hold."""
     return solve_both(pair(spans, 1e-3), ((4,), Grading(1e-6, 2e-2, 1.5)))
-
-
-def cells(quick: bool) -> Iterator[Case]:
-    """Cases of long, thin and sharp cells: blocks of known resistance, and sharp corners."""
-    graded = Grading(1e-7, 1e-2, 1.5)
-    yield Case("hexahedra, 0.1 um to 10 mm", partial(_bar, sizes=graded, cells="hexahedra"))
-    for width in (1e-3, 1e-4, 1e-5):
-        kinds: dict[CellKind, float] = {"hexahedra": 1e-1, "prisms": 4e-3}
-        if width <= 1e-4:
-            del kinds["prisms"]
-        for kind, coarsest in kinds.items():
-            sizes = Grading(min(width, 1e-3), coarsest, 1.0)
-            solve = partial(_bar, outline=Rectangle(L, width), sizes=sizes, cells=kind)
-            yield Case(f"{L / width:g} : 1 needle, {kind}", solve)
-    for thickness in () if quick else (H, 1e-3):
-        sizes = Grading(2.0 * thickness, 6.0 * thickness, 1.0)
-        solve = partial(_bar, sizes=sizes, cells="tetrahedra", thickness=thickness)
-        yield Case(f"{1e3 * thickness:g} mm sheet, tetrahedra", solve)
-    for degrees in (10.0, 1.0) if quick else (10.0, 1.0, 0.1):
-        yield Case(f"{degrees:g} deg corner, prisms", partial(_corner, degrees), None)
-    yield Case("hexahedra sheared by 100", partial(_gate, 1e2))
-    solve, says = partial(_gate, 1e4), "inverted or degenerate"
-    yield Case("hexahedra sheared by 10000", solve, "refused", says)
-
-
-def _corner(degrees: float) -> CaseValues:
-    """Triangle with one sharp corner, an electrode round it and one on the far side."""
-    far = L * np.tan(np.radians(degrees))
-    outline = Polygon(((0.0, 0.0), (L, 0.0), (L, far)))
-    places = outline.rim_points([0.0, 0.8 * L, L + 0.5 * far]).tolist()
-    widths = (0.02, 0.01, 0.5 * far)
-    electrodes = tuple(Electrode(x, y, w, 1e-3) for (x, y), w in zip(places, widths, strict=True))
-    design = SensorDesign(outline, H, electrodes)
-    return solve_both(design, ((2,), Grading(min(2e-3, 0.25 * far), 1e-2, 0.7)), cells="prisms")
-
-
-def _gate(shear: float) -> CaseValues:
-    """Mesh of boxes sheared along x, through the quality check of every mesh."""
-    mesh = mesh_design(bar(1e-3), Grading(1e-2, 1e-2, 1.0))
-    points = mesh.points + shear * mesh.points[:, [1]] * np.array([1.0, 0.0, 0.0])
-    sheared = dataclasses.replace(mesh, points=points)
-    check_quality(sheared)
-    return CaseValues(reached=f"least scaled Jacobian {quality(sheared).scaled_jacobian:.2g}")

@@ -59,7 +59,6 @@ def cases(seed: int, quick: bool) -> dict[str, Iterable[Case]]:
         "contact impedance": electrical.contacts(),
         "electrodes": electrical.electrodes(quick),
         "thin layers": electrical.layers((1e-6, 1.0, 1e6), shares),
-        "cells": electrical.cells(quick),
         "ordinary designs": ordinary_designs(quick),
         "random designs": random_designs(seed, 20 if quick else 300),
     }
