@@ -1,6 +1,7 @@
 """Sensor on the live page: from above, and in three dimensions, bent and dented as simulated."""
 
 import base64
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Hinge
 from eitskin.geometry.deformation.kinematics import Deformation
-from eitskin.geometry.design.contact_areas import ContactArea, Pad, Strip, contact_areas
+from eitskin.geometry.design.contact_areas import ContactArea, Pad, contact_areas
 from eitskin.geometry.design.outline import Disc, PlaneOutline, Rectangle
 from eitskin.geometry.design.patches import area_vectors, on_boundary
 from eitskin.geometry.design.sensor import SensorDesign
@@ -52,7 +53,6 @@ DrawnPress = tuple[float, float, float]
 """x [m], y [m] and force [N]; NaN for an unknown force."""
 _MARGIN = 0.0075  # m, shown around the positions on a sensor of unknown geometry
 _RIM = 96  # points of an outline without corners
-_MAX_PIECES = 40  # most steps along an electrode
 _LINES = 10.0  # of the grid, about, along the longer side
 _ROUND = np.array([1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0])
 
@@ -90,9 +90,8 @@ class DrawnBody:
             body = _cluster_vertices(Triangles(*outline.triangles()), _OF_SURFACE)
         else:
             body = _layer(outline, design.thickness)
-        spacing = _mean_edge(body)
         contacts = contact_areas(design.electrodes, outline, design.thickness)
-        parts = [body, *(_sheet(contact, body, spacing) for contact in contacts)]
+        parts = [body, *(_sheet(contact, body) for contact in contacts)]
         kinds = [INSIDE if isinstance(c, Pad) and c.on == "inside" else METAL for c in contacts]
         return _join_bodies(parts, [FACE, *kinds])
 
@@ -127,11 +126,6 @@ def _lift_points(points: Array, z: float) -> Array:
     return np.column_stack([points, np.full(len(points), z)])
 
 
-def _mean_edge(body: Triangles) -> float:
-    corners = body.points[body.faces]
-    return float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
-
-
 def _cluster_vertices(whole: Triangles, most: int) -> Triangles:
     """Triangles between at most `most` points: points of one cell of a grid become their mean."""
     extent, cell = float(np.ptp(whole.points, axis=0).max()), _POINT_TOLERANCE
@@ -147,57 +141,26 @@ def _cluster_vertices(whole: Triangles, most: int) -> Triangles:
     return Triangles(sums / np.bincount(number)[:, None], faces[real])
 
 
-def _sheet(contact: ContactArea, body: Triangles, spacing: float) -> Triangles:
-    """Triangles of an electrode's contact, fine enough to follow the body where it deforms."""
-    if isinstance(contact, Strip):
-        return _strip(contact, spacing)
-    if contact.on == "surface":
-        covered = _surface_under_pad(contact, body)
-        if len(covered.faces):
-            return covered
-    rim = contact.edges(spacing)
-    rings = count_pieces(contact.reach, spacing)
-    share = np.arange(1, rings + 1)[:, None, None] / rings
-    points = contact.centre + share * (rim - contact.centre)
-    outer = 1 + np.arange(rings * len(rim)).reshape(rings, -1)
-    grid = np.concatenate([np.zeros_like(outer[:1]), outer])
-    return Triangles(
-        np.concatenate([contact.centre[None], points.reshape(-1, 3)]), _quads(grid, closed=True)
-    )
-
-
-def _strip(strip: Strip, spacing: float) -> Triangles:
-    """Triangles of a strip on the side."""
-    arc = arc_lengths(strip, spacing)
-    height = np.linspace(strip.low, strip.high, 1 + count_pieces(strip.high - strip.low, spacing))
-    points = np.concatenate([_lift_points(strip.outline.rim_points(arc), z) for z in height])
-    return Triangles(points, _quads(np.arange(len(points)).reshape(len(height), -1)))
-
-
-def _quads(grid: Numbers, *, closed: bool = False) -> Numbers:
-    """Faces (k, 3) between the rows of point numbers (rows, columns), perhaps closed to rings."""
-    following = np.roll(grid, -1, axis=1) if closed else grid[:, 1:]
-    first = grid if closed else grid[:, :-1]
-    a, b, c, d = first[:-1], following[:-1], following[1:], first[1:]
-    if closed:  # rows run outwards, not upwards
-        a, b, c, d = d, c, b, a
-    faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
-    real: Numbers = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
-    return real
-
-
-def _surface_under_pad(pad: Pad, body: Triangles) -> Triangles:
-    """Part of a body's surface under a pad; without faces where the drawn body has none there."""
-    corners = body.points[body.faces]
+def _sheet(contact: ContactArea, body: Triangles) -> Triangles:
+    """Part of the body's faces under a contact; of one inside, of the upper faces at its height."""
+    corners, flat = body.points[body.faces], np.empty((0, 3))
+    if isinstance(contact, Pad):
+        flat = contact.corners
+        if contact.on == "inside":
+            corners = corners[area_vectors(corners)[:, 2] > 0.0]
+            corners[..., 2] = contact.centre[2]
+            contact = dataclasses.replace(contact, on="top")
     normals = area_vectors(corners)
     normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
     snap = _POINT_TOLERANCE * float(np.ptp(body.points))
-    (region,) = pad.patch().regions
-    pieces = on_boundary(corners, normals, np.arange(len(corners)), region, snap).polygons
-    points, number = np.unique(pieces.reshape(-1, 3).round(9), axis=0, return_inverse=True)
-    number = number.reshape(pieces.shape[:2])
-    fans = [number[:, [0, k, k + 1]] for k in range(1, pieces.shape[1] - 1)]
-    faces = np.concatenate(fans) if len(number) else np.empty((0, 3), int)
+    numbers = np.arange(len(corners))
+    found = [on_boundary(corners, normals, numbers, r, snap) for r in contact.patch().regions]
+    polygons = [piece.polygons for piece in found if len(piece.polygons)] or [flat[None]]
+    fans = [each[:, [0, k, k + 1]] for each in polygons for k in range(1, each.shape[1] - 1)]
+    points, number = np.unique(
+        np.concatenate(fans).reshape(-1, 3).round(9), axis=0, return_inverse=True
+    )
+    faces = number.reshape(-1, 3)
     return Triangles(points, faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)])
 
 
@@ -455,17 +418,3 @@ def grid_spacing(length: float, width: float) -> float:
     target_spacing = max(length, width) / _LINES
     power = 10.0 ** math.floor(math.log10(target_spacing))
     return float(power * _ROUND[np.abs(np.log(_ROUND * power / target_spacing)).argmin()])
-
-
-def arc_lengths(strip: Strip, spacing: float) -> Array:
-    """Arc lengths along a strip (k,) [m], with those of the outline's corners within it."""
-    turns = np.array([[-1.0], [0.0], [1.0]]) * strip.outline.perimeter
-    corners = (turns + strip.outline.corners).ravel()
-    within = corners[(corners > strip.start) & (corners < strip.end)]
-    even = np.linspace(strip.start, strip.end, 1 + count_pieces(strip.end - strip.start, spacing))
-    return np.unique(np.concatenate([even, within]))
-
-
-def count_pieces(length: float, spacing: float) -> int:
-    """Number of pieces of a length [m], each about as long as the spacing [m]."""
-    return int(np.clip(np.ceil(length / spacing), 1, _MAX_PIECES))
