@@ -15,11 +15,11 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Hinge
 from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.contact_areas import ContactArea, Pad, contact_areas
-from eitskin.geometry.design.outline import Disc, PlaneOutline, Rectangle
+from eitskin.geometry.design.outline import Disc, Rectangle
 from eitskin.geometry.design.patches import area_vectors, on_boundary
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
-from eitskin.geometry.meshing.delaunay import triangulate
+from eitskin.geometry.meshing.delaunay import layer_surface
 from eitskin.simulator.bends import bend_table
 from eitskin.simulator.deformation.solution_store import missing
 from eitskin.simulator.deformation.touches import sketched_dents
@@ -89,7 +89,10 @@ class DrawnBody:
         if isinstance(outline, Surface):
             body = _cluster_vertices(Triangles(*outline.triangles()), _OF_SURFACE)
         else:
-            body = _layer(outline, design.thickness)
+            x, y = plan_outline(design).T
+            area = 0.5 * float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
+            longest = _LOOSEST * np.sqrt(2.0 / np.sqrt(3.0) * area / _ON_TOP)
+            body = Triangles(*layer_surface(outline, design.thickness, longest))
         contacts = contact_areas(design.electrodes, outline, design.thickness)
         parts = [body, *(_sheet(contact, body) for contact in contacts)]
         kinds = [INSIDE if isinstance(c, Pad) and c.on == "inside" else METAL for c in contacts]
@@ -99,31 +102,6 @@ class DrawnBody:
     def opaque(self) -> int:
         """Number of faces that are not inside the body."""
         return int((self.kinds[self.faces[:, 0]] != INSIDE).sum())
-
-
-def _layer(outline: PlaneOutline, thickness: float) -> Triangles:
-    """Boundary of a layer: both faces and the side."""
-    whole = np.full(1, max(outline.length, outline.width))
-    points, faces = triangulate(outline, np.empty(0), lambda at: np.repeat(whole, len(at)))
-    area = float(area_vectors(_lift_points(points, 0.0)[faces])[:, 2].sum())
-    size = np.array([_LOOSEST * np.sqrt(2.0 / np.sqrt(3.0) * area / _ON_TOP)])
-    points, top = triangulate(outline, np.empty(0), lambda at: np.repeat(size, len(at)))
-    count = len(points)
-    edges = np.concatenate([top[:, [0, 1]], top[:, [1, 2]], top[:, [2, 0]]])
-    ordered = {tuple(edge) for edge in edges.tolist()}
-    a, b = np.array(sorted(edge for edge in ordered if edge[::-1] not in ordered)).T
-    side = np.concatenate(
-        [np.column_stack([a + count, b + count, b]), np.column_stack([a + count, b, a])]
-    )
-    faces = np.concatenate([top, top[:, ::-1] + count, side])
-    return Triangles(
-        np.concatenate([_lift_points(points, thickness), _lift_points(points, 0.0)]), faces
-    )
-
-
-def _lift_points(points: Array, z: float) -> Array:
-    """Points (n, 3) [m] at one height of plane ones (n, 2) [m]."""
-    return np.column_stack([points, np.full(len(points), z)])
 
 
 def _cluster_vertices(whole: Triangles, most: int) -> Triangles:

@@ -22,6 +22,7 @@ _MAX_ROUNDS = 300
 _MAX_POINTS = 500_000
 _PER_SIZE = 1.0 / np.sqrt(3.0)  # points in twice the square of an edge, of equilateral triangles
 _ORIGIN: Array = np.zeros(2)
+_NOWHERE: Array = np.empty(0)
 _RELATIVE_TOLERANCE = 1e-9  # relative distance of points and lengths that count as equal
 
 
@@ -77,6 +78,26 @@ def triangulate(
         f"no triangulation with angles of 28 degrees was found in {_MAX_ROUNDS} rounds; move "
         "electrode ends away from each other and from the outline's corners"
     )
+
+
+def layer_surface(
+    outline: PlaneOutline, thickness: float, longest: float, fixed_points: Array = _NOWHERE
+) -> tuple[Array, Numbers]:
+    """Points (n, 3) [m] and faces (k, 3) of a layer, counter-clockwise seen from outside.
+
+    No edge in the plane is longer than `longest` [m]; of the rim as for `triangulate`.
+    """
+    plane, lower = triangulate(
+        outline, fixed_points, lambda middles: np.full(len(middles), longest)
+    )
+    count = len(plane)
+    bottom, top = (np.column_stack([plane, np.full(count, z)]) for z in (0.0, thickness))
+    # The rim's edges are those that no other triangle runs through the other way.
+    sides = lower[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    lone = ~np.isin(sides @ [count, 1], sides[:, ::-1] @ [count, 1])
+    a, b = sides[lone].T
+    walls = [np.column_stack([a, b, b + count]), np.column_stack([a, b + count, a + count])]
+    return np.concatenate([bottom, top]), np.concatenate([lower[:, ::-1], lower + count, *walls])
 
 
 def _clear_of_all(rims: list["_Rim"], inner: Array) -> list["_Rim"]:

@@ -15,7 +15,7 @@ from eitskin.geometry.design.outline import Disc, Outline
 from eitskin.geometry.design.patches import boundary_faces, electrode_contacts
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
-from eitskin.geometry.meshing.delaunay import numbered_along_x, triangulate
+from eitskin.geometry.meshing.delaunay import layer_surface, numbered_along_x
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh import Mesh, scaled_jacobians, volumes
 
@@ -96,17 +96,7 @@ def _surface(outline: Outline, thickness: float) -> tuple[Array, Numbers]:
         return outline.triangles()
     rim = np.arange(_CHORDS if isinstance(outline, Disc) else 0) / _CHORDS
     longest = max(outline.length, outline.width) / _FACES
-    plane, lower = triangulate(
-        outline, rim * outline.perimeter, lambda middles: np.full(len(middles), longest)
-    )
-    count = len(plane)
-    bottom, top = (np.column_stack([plane, np.full(count, z)]) for z in (0.0, thickness))
-    # The rim's edges are those that no other triangle runs through the other way.
-    sides = lower[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    lone = ~np.isin(sides @ [count, 1], sides[:, ::-1] @ [count, 1])
-    a, b = sides[lone].T
-    walls = [np.column_stack([a, b, b + count]), np.column_stack([a, b + count, a + count])]
-    return np.concatenate([bottom, top]), np.concatenate([lower[:, ::-1], lower + count, *walls])
+    return layer_surface(outline, thickness, longest, rim * outline.perimeter)
 
 
 def _sizing(edges: Array, grading: Grading, points: Array) -> tuple[Array, Numbers, Array]:
