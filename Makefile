@@ -49,7 +49,7 @@ docs: $(VENV)/installed
 
 # The pipeline that comes with eitskin, trained again; and one for the default clamp alone, with
 # which `eitskin bench transfer` compares it.
-RECIPES = training wide wide_bends
+RECIPES = training wide wide_bends plates
 SETS = build/reference
 reference narrow: $(SETS)/all
 	$(BIN)/eitskin train $(SETS)/$(if $(filter narrow,$@),training,all) --preset joint \
