@@ -196,10 +196,6 @@ class SensorHealth:
     protocol: Protocol | None = None
     grows: bool = False
     faults: dict[int, ElectrodeFault] = field(default_factory=dict)
-    out: Bools = field(init=False)
-    _members: Bools = field(init=False)
-    _limits: Array = field(init=False)
-    _window: deque[tuple[int, float, Bools]] = field(init=False)
 
     def __post_init__(self) -> None:
         """No reading so far."""
@@ -207,7 +203,7 @@ class SensorHealth:
         self._members = electrode_members(self.protocol, channels)
         margin = MARGIN + WIDER * (self.usual.high - self.usual.low)
         self._limits = np.array([self.usual.low - margin, self.usual.high + margin])
-        self._window = deque(maxlen=WINDOW)
+        self._window: deque[tuple[int, float, Bools]] = deque(maxlen=WINDOW)
         self.out = np.zeros(channels, bool)
 
     def begin(self, magnitudes: ArrayLike) -> None:

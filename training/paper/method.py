@@ -75,7 +75,6 @@ class PaperMethod(Method):
     """
 
     KIND: ClassVar[str] = "paper"
-    AVERAGES: ClassVar[bool] = False
 
     reconstruction: Reconstruction
     classifier: Classifier | None

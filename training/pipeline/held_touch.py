@@ -49,8 +49,8 @@ class Phases:
     _last: Voltages = field(default_factory=lambda: np.zeros(0, np.complex128))
     _scatter: deque[float] = field(default_factory=lambda: deque(maxlen=NOISE_FRAMES))
 
-    def phase_change(self, V: Voltages, flat: Voltages) -> NDArray[np.float64] | None:
-        """Change of the phases (measurements,) [rad] but for a common one; None if by noise."""
+    def phase_change(self, V: Voltages, flat: Voltages) -> NDArray[np.float64]:
+        """Change of the phases (measurements,) [rad] but for a common one; (0,) if by noise."""
         departure = np.full(len(V), np.nan)
         good = np.isfinite(V) & np.isfinite(flat) & (flat != 0.0)
         departure[good] = np.imag(V[good] / flat[good])
@@ -63,9 +63,9 @@ class Phases:
             if len(known):
                 self._scatter.append(float(np.var(known)))
         if len(self._scatter) <= MIN_SCATTERS:
-            return None
+            return np.zeros(0)
         limit = max(LEAST_PHASE, PHASES * math.sqrt(median(self._scatter)))
-        return departure if math.sqrt(np.nanmean(departure**2)) > limit else None
+        return departure if math.sqrt(np.nanmean(departure**2)) > limit else np.zeros(0)
 
 
 @dataclass
@@ -90,18 +90,21 @@ class HeldTouch:
     noise: float
     scale: float = 1.0
     directions: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
-    lag: NDArray[np.float64] = field(init=False)
-    variance: float = field(init=False)
     _frames: deque[Voltages] = field(default_factory=lambda: deque(maxlen=MAX_HELD_FRAMES))
     _changes: deque[NDArray[np.float64]] = field(
         default_factory=lambda: deque(maxlen=MAX_HELD_FRAMES)
     )
     _scatter: deque[float] = field(default_factory=lambda: deque(maxlen=NOISE_FRAMES))
-    _untouched: float = field(init=False)  # the variance when a frame was untouched last
     _latest: float = -1.0  # scatter of the latest three frames; -1 where it is taken
     _touched: deque[bool] = field(default_factory=lambda: deque(maxlen=3))
     _speed: float = 0.0  # of the latest motion: its statistic over its limit and over weight
     _moving: float = MOVING  # probability of motion in the latest frames
+
+    def __post_init__(self) -> None:
+        """No frame so far."""
+        self.variance = 0.5 * self.noise**2
+        self._untouched: float = self.variance  # when a frame was untouched last
+        self.lag = np.zeros(0)
 
     def add(
         self, V: Voltages, flat: Voltages, held: bool, most: int = MAX_HELD_FRAMES
@@ -193,11 +196,6 @@ class HeldTouch:
     def still(self) -> float:
         """Rms relative difference of two frames of a still sensor in this session, at most."""
         return math.sqrt(2.0 * self.variance) if self.is_noise_known else LOUDEST * self.noise
-
-    def __post_init__(self) -> None:
-        """No frame so far."""
-        self.variance = self._untouched = 0.5 * self.noise**2
-        self.lag = np.zeros(0)
 
     def _deviation(self, channels: NDArray[np.intp]) -> NDArray[np.float64]:
         """Relative deviation of the mean square over channels, larger where these share noise."""

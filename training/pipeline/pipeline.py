@@ -92,7 +92,6 @@ class Pipeline:
     adaptation: dict[str, Any] = field(default_factory=dict)
     flat_sensors: FlatSensors | None = None
     usual: ReadingRange | None = None
-    _session: Session = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """A session without references."""

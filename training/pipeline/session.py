@@ -1,7 +1,7 @@
 """Session of a pipeline: references, the frames of a held touch, and doubts about both."""
 
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import NamedTuple
 
@@ -75,18 +75,10 @@ class Session:
     noise_scale: float = 1.0
     common: float = COMMON
     usual: ReadingRange | None = None
-    static: RunningMean = field(init=False)
-    dynamic: RunningMean = field(init=False)
-    touched: bool = field(init=False)
-    doubt: str = field(init=False)
-    _health: SensorHealth | None = field(init=False)
-    _order: SessionOrder = field(init=False, default_factory=SessionOrder)
-    _earlier: deque[Earlier] = field(init=False)
-    _turned: NDArray[np.float64] | None = field(init=False)
 
     def __post_init__(self) -> None:
         """A session that waits for its first frame."""
-        self._earlier = deque(maxlen=MAX_HELD_FRAMES)
+        self._order = SessionOrder()
         self.begin()
 
     def begin(self) -> None:
@@ -99,14 +91,15 @@ class Session:
             )
         self._held = HeldTouch(self.noise, self.noise_scale)
         self._opening = self.stored is None
-        self._earlier.clear()
-        self._phases, self._turned = Phases(), None
+        self._earlier: deque[Earlier] = deque(maxlen=MAX_HELD_FRAMES)
+        self._phases, self._turned = Phases(), np.zeros(0)
         self._onset, self._frames, self._lingers = 1, 1, False
         self._places, self._touches = np.zeros((0, 2)), EarlierTouches()
         self.touched, self._suspected, self._outdated, self.doubt = False, False, False, ""
         self._age_at_start = 0.0 if self.stored is None else STORED_AGE
         self._renewed = -self._age_at_start
-        self._reversed, self._health = np.zeros(0, np.intp), None
+        self._reversed = np.zeros(0, np.intp)
+        self._health: SensorHealth | None = None
         self._gain, self._latest = 1.0 + 0.0j, np.zeros(0, np.complex128)
 
     @property
@@ -350,7 +343,7 @@ class Session:
             "and the board"
             for i in self._reversed
         ]
-        if self._turned is not None:
+        if len(self._turned):
             worst = int(np.nanargmax(np.abs(self._turned)))
             problems.append(
                 f"phases changed since {when}, by {np.degrees(self._turned[worst]):+.2g} deg in "

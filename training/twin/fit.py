@@ -45,8 +45,6 @@ class Laplace:
             prior.
         predicted: rows at the maximum, (n, C).
         error: standard deviation of the rows of each kind that is left, (kinds,).
-        objectives: objectives of each accepted step, before and after; the errors change between
-            steps.
         log_evidence: logarithm of the marginal likelihood, by Laplace's formula.
     """
 
@@ -54,7 +52,6 @@ class Laplace:
     covariance: Array
     predicted: Array
     error: Array
-    objectives: tuple[tuple[float, float], ...]
     log_evidence: float
 
 
@@ -229,10 +226,9 @@ class TwinProblem:
 
         Raises ConfigurationError where the starting point itself cannot be.
         """
-        x, accepted_steps = np.array(start, dtype=float), []
         error = self._first_error()
         low, high = np.array([parameter.bounds for parameter in self.parameters]).T.astype(float)
-        x = np.clip(x, low, high)
+        x = np.clip(np.array(start, dtype=float), low, high)
         if not np.isfinite(self.objective(x, self._deviation(error))):
             raise ConfigurationError("the design's own numbers cannot be simulated")
         J = at = None
@@ -248,35 +244,31 @@ class TwinProblem:
             settled = np.allclose(np.log(before), np.log(error), atol=0.05)
             if length < _STEP_TOLERANCE * np.sqrt(len(x)) and settled:
                 break
-            moved, objectives = self._line_search(x, step, deviation, low, high)
-            if objectives is not None:
-                accepted_steps.append(objectives)
+            moved = self._line_search(x, step, deviation, low, high)
+            if moved is not None:
+                x = moved
             elif not np.array_equal(at, x):
                 J = None  # the derivatives may be too old for this step
             elif settled:
                 break
-            x = moved
         if J is None or at is None or np.abs(x - at).max() > _SLOPE_VALIDITY:
             J = self.slopes(x)
-        return self._laplace(x, J, error, tuple(accepted_steps))
+        return self._laplace(x, J, error)
 
     def _line_search(
         self, x: Array, step: Array, deviation: Array, low: Array, high: Array
-    ) -> tuple[Array, tuple[float, float] | None]:
-        """Point along the step where the objective is lower, with both; `x` where none is."""
+    ) -> Array | None:
+        """Point along the step where the objective is lower; None where none is."""
         start = self.objective(x, deviation)
         share = min(1.0, _MAX_STEP / max(float(np.abs(step).max()), 1e-300))
         for _ in range(_HALVINGS):
             trial = np.clip(x + share * step, low, high)
-            value = self.objective(trial, deviation)
-            if value < start:
-                return trial, (start, value)
+            if self.objective(trial, deviation) < start:
+                return np.asarray(trial)
             share *= 0.5
-        return x, None
+        return None
 
-    def _laplace(
-        self, x: Array, J: Array, error: Array, taken: tuple[tuple[float, float], ...]
-    ) -> Laplace:
+    def _laplace(self, x: Array, J: Array, error: Array) -> Laplace:
         predicted = self.predict(x)
         left = self.frames.values - predicted
         error = self._error(left, J, error)
@@ -286,7 +278,7 @@ class TwinProblem:
         fit = ((left / deviation[:, None]) ** 2).sum() + x @ x
         size = 2.0 * left.shape[1] * np.log(deviation).sum() + left.size * np.log(2.0 * np.pi)
         evidence = -0.5 * (fit + size + np.linalg.slogdet(A)[1])
-        return Laplace(x, covariance, predicted, error, taken, float(evidence))
+        return Laplace(x, covariance, predicted, error, float(evidence))
 
     def _deviation(self, error: Array) -> Array:
         """Standard deviation of each row's values, (rows,), from that of each kind."""
