@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, Self
+from typing import Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
 from eitskin.errors import ConfigurationError
+from eitskin.simulator.linalg.multifrontal import Factors
 from eitskin.threads import one_thread
 
 Array = NDArray[np.float64]
@@ -38,19 +39,6 @@ class SolidError(ConfigurationError):
         self.reached = reached
 
 
-class Factorisation(Protocol):
-    """Factorised symmetric matrix."""
-
-    @property
-    def negative(self) -> int:
-        """Number of negative eigenvalues of the matrix."""
-        ...
-
-    def solve(self, right: Array) -> Array:
-        """Solution (n,) for a right-hand side (n,)."""
-        ...
-
-
 class SparseLU:
     """Symmetric matrix (n, n) factorised by SuperLU."""
 
@@ -76,6 +64,7 @@ class SparseLU:
         return np.asarray(self._lu.solve(right))
 
 
+Factorisation: TypeAlias = SparseLU | Factors
 Factorise = Callable[[csc_array], Factorisation]
 
 

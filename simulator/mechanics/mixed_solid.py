@@ -162,10 +162,6 @@ class Solid(ForceTerm):
         """Displacements of the nodes [m], (nodes, dim)."""
         return x[: self.nodes.size].reshape(self.nodes.shape)
 
-    def pressure(self, x: Array) -> Array:
-        """Mean stress at the quadrature points [Pa], (cells, q)."""
-        return self._mean_stress(self._strain_state(x))
-
     def deformation_gradient(self, x: Array) -> Array:
         """Deformation gradient F at the quadrature points, (cells, q, 3, 3)."""
         return self._strain_state(x).F
