@@ -170,8 +170,7 @@ def without_disc():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("contrast", [2.0, 100.0])
-@pytest.mark.parametrize("part", [0.1, 0.5])
+@pytest.mark.parametrize(("contrast", "part"), [(2.0, 0.1), (100.0, 0.5)])
 def test_a_disc_in_a_disc_has_the_signal_of_the_closed_form(contrast, part) -> None:
     """Next to a model without the disc, whose mesh is another."""
     plain = without_disc()
