@@ -15,7 +15,6 @@ from torch import Tensor, nn  # noqa: TID253  see above
 from eitskin.threads import one_torch_thread
 from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.network_training import (
-    Batch,
     Loss,
     Samples,
     seeded_network,
@@ -106,15 +105,14 @@ def train_layers(
             if deviation.any():  # new noise whenever a frame is used
                 rows = rows + deviation * torch.randn(rows.shape, generator=generator)
             maps = torch.einsum("nm,kpm->nkp", rows, matrix).reshape(len(rows), -1, *shape)
-            return torch.asinh(maps) if compress else maps, targets[chosen]
+            maps, wanted = torch.asinh(maps) if compress else maps, targets[chosen]
+            if len(flips) > 1:
+                flip_samples((maps, wanted), flips, generator)
+            if placed:
+                maps = torch.cat([maps, place.expand(len(maps), -1, -1, -1)], dim=1)
+            return maps, wanted
 
-        shown = mirror_samples(batch, flips)
-
-        def locate_samples(chosen: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-            maps, wanted = shown(chosen, generator)
-            return torch.cat([maps, place.expand(len(maps), -1, -1, -1)], dim=1), wanted
-
-        return Samples(locate_samples if placed else shown, len(targets))
+        return Samples(batch, len(targets))
 
     network = seeded_network(lambda: layer_network(layers), seed)
     # Convolutions take half as long.
@@ -128,26 +126,19 @@ def train_layers(
     return network_weights(network), history
 
 
-def mirror_samples(batch: Batch, flips: Flips) -> Batch:
-    """Source of samples that shows each one as a mirror image drawn from `flips`.
+def flip_samples(pair: tuple[Tensor, Tensor], flips: Flips, generator: torch.Generator) -> None:
+    """Replace samples by mirror images drawn from `flips`.
 
     Args:
-        batch: maps and targets (n, maps, rows along y, columns along x).
+        pair: maps and targets (n, maps, rows along y, columns along x).
         flips: whether x and whether y is reversed, for each mirror image.
+        generator: random generator of the images.
     """
-    if len(flips) < 2:
-        return batch
-
-    def draw_batch(chosen: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        pair = batch(chosen, generator)
-        image = torch.randint(len(flips), (len(chosen),), generator=generator)
-        for number, (x, y) in enumerate(flips):
-            axes = [axis for axis, flip in ((-1, x), (-2, y)) if flip]
-            for maps in pair:
-                maps[image == number] = maps[image == number].flip(axes)
-        return pair
-
-    return draw_batch
+    image = torch.randint(len(flips), (len(pair[0]),), generator=generator)
+    for number, (x, y) in enumerate(flips):
+        axes = [axis for axis, flip in ((-1, x), (-2, y)) if flip]
+        for maps in pair:
+            maps[image == number] = maps[image == number].flip(axes)
 
 
 def network_weights(network: nn.Module) -> dict[str, NDArray[np.generic]]:

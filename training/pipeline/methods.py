@@ -185,11 +185,7 @@ def told_errors(name: str) -> Iterator[None]:
 
 
 def require_sound(
-    method: Method,
-    examples: Observations,
-    spec: InputSpec,
-    settings: TrainingSettings,
-    foreign: tuple[str, ...],
+    method: Method, examples: Observations, spec: InputSpec, settings: TrainingSettings
 ) -> None:
     """Check what a newly fitted method of the user's gives, so that it can be used and opened.
 
@@ -198,7 +194,6 @@ def require_sound(
         examples: some frames.
         spec: sensor, measurements and units.
         settings: settings of the training.
-        foreign: beginnings of the names that arrays of a pipeline have next to the method's.
 
     Raises MethodCodeError for predictions that are not what `targets` says, for arrays that cannot
     be saved, or for a restored copy that predicts something else.
@@ -213,7 +208,7 @@ def require_sound(
                 f"{method.KIND}: expected arrays of numbers, got '{name}' of type "
                 f"{np.asarray(array).dtype}; keep names and choices in settings.options"
             )
-        if name.startswith(foreign):
+        if name.startswith(FOREIGN):
             raise MethodCodeError(
                 f"{method.KIND}: the array '{name}' has a name that eitskin uses; call it otherwise"
             )
@@ -252,7 +247,7 @@ def trained_parts(
         examples = frames.observations[chosen]
         fitted = method_class(settings.method, method).fit(frames, settings, progress)
         if method is not None:
-            require_sound(fitted, examples, layout, settings, FOREIGN)
+            require_sound(fitted, examples, layout, settings)
         facts = {"specimens": len(np.unique(train.specimen))}
         parts = {
             "layout": layout,

@@ -8,6 +8,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,11 @@ from eitskin.datasets.recipe.specimen import Specimen
 from eitskin.geometry import ConfigurationError, EitskinError
 from eitskin.simulator import FourTerminalMeter, Scene, Simulator
 from eitskin.simulator.electrical.resolution import Resolution
-from eitskin.simulator.instrument.meter import Parameter, meter_from_coordinates
+from eitskin.simulator.instrument.meter import (
+    Parameter,
+    central_differences,
+    meter_from_coordinates,
+)
 from eitskin.training.twin.labelled_frames import KINDS, LabelledFrames
 from eitskin.training.twin.parameters import MECHANICAL, with_numbers
 
@@ -132,16 +137,11 @@ class TwinProblem:
     def jacobian(self, x: Array) -> Array:
         """Derivatives of the readings by the coordinates, (scenes, measurements, parameters)."""
         Z, slopes = self.impedances(x), self._impedance_slopes(x)
-        jacobian = np.empty((len(Z), len(self.frames.protocol), len(self.parameters)))
-        for k, parameter in enumerate(self.parameters):
-            if k in slopes:
-                moved = [self._read(Z + h * slopes[k], x) for h in (_METER_STEP, -_METER_STEP)]
-                width = 2.0 * _METER_STEP
-            else:
-                ends = np.clip([x[k] + _METER_STEP, x[k] - _METER_STEP], *parameter.bounds)
-                moved = [self._read(Z, _replace_entry(x, k, end)) for end in ends]
-                width = ends[0] - ends[1]
-            jacobian[..., k] = (moved[0] - moved[1]) / width
+        low, high = np.array([parameter.bounds for parameter in self.parameters]).T
+        jacobian = central_differences(partial(self._read, Z), x, (low, high), _METER_STEP)
+        for k, slope in slopes.items():
+            above, below = (self._read(Z + h * slope, x) for h in (_METER_STEP, -_METER_STEP))
+            jacobian[..., k] = (above - below) / (2.0 * _METER_STEP)
         return jacobian
 
     def _impedance_slopes(self, x: Array) -> dict[int, Array]:

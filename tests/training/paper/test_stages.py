@@ -12,7 +12,7 @@ from eitskin.training import NetworkSettings, TrainingSettings
 from eitskin.training.method.network_training import Samples, train_network
 from eitskin.training.method.observations import MissingChannels
 from eitskin.training.paper.layers import Network, state_layers, touch_map_layers
-from eitskin.training.paper.networks import layer_network, mirror_samples, network_weights
+from eitskin.training.paper.networks import flip_samples, layer_network, network_weights
 from eitskin.training.paper.stages import (
     MAX_SNR,
     BendAngle,
@@ -152,19 +152,14 @@ def test_networks_evaluated_by_numpy_are_torchs(layers):
 def test_mirror_images_are_drawn_with_their_targets():
     maps = torch.arange(12.0).reshape(2, 1, 2, 3)
     flips = [(False, False), (True, False), (False, True), (True, True)]
-    seen = set()
-
-    def batch(chosen, generator):  # noqa: ARG001
-        return maps[chosen].clone(), 10.0 * maps[chosen]
-
-    draw, generator = mirror_samples(batch, flips), torch.Generator().manual_seed(0)
+    seen, generator = set(), torch.Generator().manual_seed(0)
     for _ in range(40):
-        pictures, targets = draw(torch.tensor([1]), generator)
+        pictures, targets = maps[1:].clone(), 10.0 * maps[1:]
+        flip_samples((pictures, targets), flips, generator)
         assert torch.equal(targets, 10.0 * pictures)
         seen.add(tuple(pictures.ravel().tolist()))
     assert seen == {(6, 7, 8, 9, 10, 11), (8, 7, 6, 11, 10, 9), (9, 10, 11, 6, 7, 8),
                     (11, 10, 9, 8, 7, 6)}  # fmt: skip
-    assert mirror_samples(batch, flips[:1]) is batch
 
 
 def test_settings_are_the_papers_and_touches_weighted_centroids_strongest_first():
