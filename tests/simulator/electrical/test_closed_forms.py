@@ -7,11 +7,12 @@ import pytest
 
 from eitskin.benchmarks.cosine_box import box_impedance
 from eitskin.benchmarks.stability.closed_forms import block, shunt_pair
-from eitskin.geometry import Electrode, Mesh, Rectangle, SensorDesign, structured_mesh
+from eitskin.geometry import Disc, Electrode, Mesh, Rectangle, SensorDesign, structured_mesh
 from eitskin.geometry.deformation.kinematics import area_ratio
 from eitskin.geometry.design.patches import electrode_contacts
 from eitskin.geometry.design.regular_layouts import grid, uniform
 from eitskin.geometry.meshing.grading import Grading
+from eitskin.geometry.meshing.mesh_design import mesh_design
 from eitskin.simulator import ForwardModel, Protocol
 from eitskin.simulator.electrical import forward_model as forward
 from eitskin.simulator.electrical.function_space import FunctionSpace, estimated_memory
@@ -394,10 +395,13 @@ def test_electrodes_on_a_side_on_top_at_the_bottom_and_inside():
     assert box_error(ForwardModel(two_electrodes(_LOW, *some, inner), "fast")) < 5e-3
 
 
-def test_electrodes_of_unequal_height_fit_the_memory():
-    outline = Rectangle(0.150, 0.060)
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("outline", "cells"), [(Rectangle(0.150, 0.060), "hexahedra"), (Disc(0.050), "prisms")]
+)
+def test_electrodes_of_unequal_height_fit_the_memory(outline, cells):
     some = enumerate(uniform(outline, 8))
     electrodes = [dataclasses.replace(e, height=1e-3 * (1 + k % 4), z=2.5e-3) for k, e in some]
     design = two_electrodes(outline, *electrodes)
-    order, grading = discretisation("standard", design, "hexahedra")
-    assert estimated_memory(FunctionSpace(structured_mesh(design, grading), order)) < 5e9
+    order, grading = discretisation("standard", design, cells)
+    assert estimated_memory(FunctionSpace(mesh_design(design, grading, cells), order)) < 5e9
