@@ -1,15 +1,18 @@
-"""Speed of simulation and pipeline: `eitskin bench speed`.
+"""Speed of simulation, generation and pipeline: `eitskin bench speed`.
 
 Random presses of 4 to 12 N on the reference sensor in its default clamp, single ones and up to
 four, each with a bend of its own, by reanalysis and one by one, on two processes at once; and
 specimens of the recipe `training`, each set up and used for some scenes. Errors are those of the
 presses' signals against the resolution "fine", of other sensors' signals against "standard".
-In the same run: the time of a frame in the shipped pipeline.
+In the same run: pyEIT, single impedance matrices, and the least time that the operations of a scene
+take; frames per second and memory of making a dataset; the time of a frame in the shipped pipeline.
 """
 
 import dataclasses
 import itertools
 import multiprocessing
+import resource
+import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -17,10 +20,19 @@ from dataclasses import dataclass
 from functools import cache, partial
 from itertools import groupby, repeat
 from operator import itemgetter
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.benchmarks.forward_models import (
+    Frame,
+    PointElectrodeModel,
+    drops,
+    has_pyeit,
+    model_frame,
+)
+from eitskin.benchmarks.forward_models import uniform as uniform_mesh
 from eitskin.benchmarks.results import (
     Columns,
     Report,
@@ -29,9 +41,10 @@ from eitskin.benchmarks.results import (
     make_results,
     plot_errors,
 )
+from eitskin.datasets.generation.generate import generate
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.recipe import Recipe
-from eitskin.datasets.recipe.scene_group import draw_positions
+from eitskin.datasets.recipe.scene_group import SceneGroup, draw_positions
 from eitskin.geometry.deformation.fixtures import Bend, Hinge
 from eitskin.geometry.design.outline import Disc, Rectangle
 from eitskin.geometry.design.regular_layouts import uniform
@@ -39,6 +52,7 @@ from eitskin.geometry.design.sensor import Plates, SensorDesign
 from eitskin.hardware.opening import open_board
 from eitskin.hardware.virtual.stage import Script, Step
 from eitskin.simulator.electrical.batch import TOLERANCE
+from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
@@ -104,8 +118,10 @@ WORKLOADS = (
     Workload("one touch"),
     Workload("one to four touches", (1, 4)),
     Workload("one touch, resolution `coarse`", resolution="coarse"),
+    Workload("one to four touches, resolution `coarse`", (1, 4), resolution="coarse"),
     Workload("one touch, resolution `standard`", resolution="standard"),
     Workload("one touch, specimens of their own", specimens=True),
+    Workload("one touch, specimens, resolution `coarse`", resolution="coarse", specimens=True),
     Workload("one touch, each solved by itself", tolerance=0.0),
     Workload("one touch, on plates", plates=True),
     Workload("one touch, 16 electrodes", electrodes=16),
@@ -234,6 +250,102 @@ LIVE_SCENES = {
 """What a live board shows when its rate is measured, by name."""
 
 
+PEER_CASES = {
+    "pyEIT": uniform_mesh(4.4e-3, 2),
+    "pyEIT, fine": uniform_mesh(2.2e-3, 4),
+    "pyEIT, plane": uniform_mesh(2e-3, 0),
+}
+
+
+def pyeit(seed: int, name: str) -> dict[str, float]:
+    """Nodes and time of an impedance matrix by pyEIT; nothing where it is not installed."""
+    if not has_pyeit():
+        return {}
+    design, case = SensorDesign.reference(), PEER_CASES[name]
+    plane = case.family.startswith("squares")
+    model = PointElectrodeModel(design, ForwardModel(design, case.resolution).mesh, plane)
+    return {f"{name}.nodes": model.nodes} | _matrix_ms(name, model.frame(1.0), seed)
+
+
+def impedance(seed: int, resolution: Resolution) -> dict[str, float]:
+    """Unknowns and time of an impedance matrix at a resolution."""
+    name, model = (
+        f"impedance matrix, {resolution}",
+        ForwardModel(SensorDesign.reference(), resolution),
+    )
+    return {f"{name}.unknowns": model.unknowns} | _matrix_ms(name, model_frame(model), seed)
+
+
+def _matrix_ms(name: str, frame: Frame, seed: int) -> dict[str, float]:
+    """Median processor time of the frames of some drops of the conductivity [ms]."""
+    times = []
+    for drop in drops(SensorDesign.reference(), seed):
+        start = time.process_time()
+        frame(drop)
+        times.append(time.process_time() - start)
+    return {f"{name}.matrix_ms": 1e3 * float(np.median(times))}
+
+
+def floor() -> dict[str, float]:
+    """Operations of a scene that is solved on its own, and their time at the rate of products."""
+    model = ForwardModel(SensorDesign.reference(), "fast")
+    space, fronts = model.assembly.space, model.solver.fronts
+    outer, inner, points = space.numbers.shape[1], space.element.inner, len(space.rule.weights)
+    entries = (outer + inner) * (outer + inner + 1) // 2
+    element = 12 * points * entries + inner**3 // 3 + inner**2 * outer + inner * outer**2
+    operations = len(space.numbers) * element + sum(
+        front.size**3 // 3 + front.coupled**2 * front.outer + front.coupled * front.outer**2
+        for front in fronts
+    )
+    found = {"floor.million_operations": 1e-6 * operations}
+    for name, kind in {"double": np.float64, "single": np.float32}.items():
+        square, times = np.ones((1500, 1500), dtype=kind), []
+        for _ in range(5):
+            start = time.process_time()
+            _ = square @ square
+            times.append(time.process_time() - start)
+        found[f"floor, {name}.ms"] = 1e3 * operations * min(times) / (2 * len(square) ** 3)
+    return found
+
+
+def recipe(frames: int) -> Recipe:
+    """Recipe of single touches, each on a bend of its own."""
+    group = SceneGroup("touch", frames, ANGLES, force=FORCES)
+    return Recipe(name="rate", scenes=(group,), frames_per_shard=256)
+
+
+def generation(count: int, engine: Rate) -> dict[str, float]:
+    """Speed and memory of datasets of eight, one and four times `count` frames of `engine`."""
+    frames = 8 * count
+    with tempfile.TemporaryDirectory() as folder:
+        start = time.perf_counter()
+        generate(recipe(frames), Path(folder) / "set", workers=PROCESSES)
+        rate_made = frames / (time.perf_counter() - start)
+    figures: dict[str, float] = {
+        "dataset.frames": frames,
+        "dataset.frames_per_second": rate_made,
+        "dataset.share_percent": 100.0 * rate_made / engine.scenes_per_second,
+    }
+    for name, size in {"small": count, "large": 4 * count}.items():
+        figures |= {f"memory, {name}.frames": size, f"memory, {name}.mb": memory_mb(size)}
+    return figures
+
+
+def memory_mb(frames: int) -> float:
+    """Peak memory [MB] of a worker that made a dataset.
+
+    Found in a process of its own, which is that worker: a system remembers the most it used.
+    """
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(_peak_mb, frames).result()
+
+
+def _peak_mb(frames: int) -> float:
+    with tempfile.TemporaryDirectory() as folder:
+        generate(recipe(frames), Path(folder) / "set", workers=1)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+
+
 def frame_time(name: str, frames: int, seed: int) -> dict[str, float]:
     """Frame time of the shipped pipeline for a live scene with every term of the AD5940's chain."""
     from eitskin.training.pipeline.pipeline import Pipeline
@@ -256,7 +368,8 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
     """Measure everything on two cores.
 
     Args:
-        seed: seed of the virtual board's noise; scenes are the same in every run.
+        seed: seed of the virtual board's noise and of the conductivities that pyEIT solves; scenes
+            are the same in every run.
         quick: one workload and fewer scenes.
         watch: gives back the items that its text is about; shows progress where wanted.
     """
@@ -267,8 +380,21 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
         rates = tuple(rate(workload, count, pool) for workload in watch("workloads", workloads))
     figures: dict[str, float] = {}
     with one_thread():
+        for name in watch("pyEIT", list(PEER_CASES)[: 1 if quick else None]):
+            figures |= pyeit(seed, name)
+        names: tuple[Resolution, ...] = ("fast",) if quick else ("fast", "standard", "fine")
+        for resolution in watch("impedance matrices", names):
+            figures |= impedance(seed, resolution)
+        figures |= floor()
+        own = {"pyEIT, fine": figures.get("impedance matrix, standard.matrix_ms")}
+        for name in PEER_CASES:
+            if f"{name}.nodes" in figures:
+                compared = own.get(name) or rates[0].scene_ms
+                figures[f"{name}.times_longer"] = figures[f"{name}.matrix_ms"] / compared
         for name in watch("pipeline", list(LIVE_SCENES)):
             figures |= frame_time(name, frames, seed)
+    for make in watch("datasets", [generation]):
+        figures |= make(count, rates[0])
     rows = [dataclasses.asdict(each) for each in rates]
     table = ReportTable.from_rows(rows, _COLUMNS)
     points = {
@@ -276,12 +402,16 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
         for each in rates
     }
     x, y = "scenes per second, two processes", "error of the signal, median and largest [%]"
+    missing = "pyEIT is not installed and was left out: pip install 'eitskin[bench]'"
     return Report(
         results=make_results(
             "speed", (*table.figures(), *figures.items()), began=began, seed=seed, quick=quick
         ),
         rows=rows,
         tables=[table],
-        sentences=[f"{name}: {value:.4g}" for name, value in figures.items()],
+        sentences=[
+            *(() if "pyEIT.nodes" in figures else (missing,)),
+            *(f"{name}: {value:.4g}" for name, value in figures.items()),
+        ],
         plots={"speed.png": partial(plot_errors, panels={"": points}, x=x, y=y)},
     )

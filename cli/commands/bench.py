@@ -49,7 +49,7 @@ _SEEDED_BENCHMARKS = {
     "accuracy": "Measure error and run time of the forward model and of pyEIT.",
     "stability": "Run stiff and extreme cases; exit code 1 where one gives a wrong result.",
     "world": "Compare every model of presses and bends with reference solutions in 3D.",
-    "speed": "Measure scenes per second, and the time of a frame in the pipeline.",
+    "speed": "Measure scenes, dataset frames and pipeline frames per second.",
 }
 """Benchmarks that take a seed alone: `run(seed, quick, watch)` of their module."""
 
@@ -259,18 +259,29 @@ def layouts(
     *,
     sweep: Annotated[
         list[str] | None,
-        typer.Option(help="count, placement, width, contact or bend; repeatable, all if omitted."),
+        typer.Option(
+            help="count, placement, width, contact, bend or search; repeatable, all if omitted."
+        ),
     ] = None,
     workers: Workers = 2,
     quick: Quick = False,
     output: options.Output,
 ) -> None:
-    """Cramer-Rao bounds of touches, by number, place, width and contact of electrodes, and bend."""
-    from eitskin.benchmarks.layouts import NAMES, run
+    """Cramer-Rao bounds of touches for electrode layouts: sweeps, and a search for the best eight.
+
+    Finished layouts are kept in the folder; a run that was stopped goes on from them.
+    """
+    from eitskin.benchmarks.layouts.run import NAMES, run
 
     require_all(bench="matplotlib")
-    with _folder(output, out, "layouts") as (_, progress):
-        report = run(sweep or NAMES, quick, workers, progress)
+    with _folder(output, out, "layouts") as (folder, progress):
+        report = run(
+            folder / "parts",
+            names=sweep or NAMES,
+            quick=quick,
+            workers=workers,
+            progress=progress,
+        )
     _present(output, report, out)
 
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from eitskin.benchmarks.layouts import Layout, Sampling, SheetBound, paper, sheet_bound, sweeps
+from eitskin.benchmarks.layouts.bound import Layout, Sampling, SheetBound, sheet_bound
+from eitskin.benchmarks.layouts.candidates import paper, sweeps
 
 from style import RISING, colours, figure, save, sensor, wanted
 

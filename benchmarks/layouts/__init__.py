@@ -1,0 +1,1 @@
+"""Comparison of electrode layouts by Cramer-Rao bounds: `eitskin bench layouts`."""
