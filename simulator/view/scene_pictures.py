@@ -5,11 +5,12 @@ import math
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import Deformation, largest_strain
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
@@ -113,8 +114,10 @@ def draw_scenes(
             when omitted.
 
     Raises ImportError, naming the extra, where pyvista is missing, and ConfigurationError where
-    the file cannot be written or an electrode does not exist.
+    the file cannot be written or the colour or an electrode does not exist.
     """
+    if colour not in get_args(Colour):
+        raise ConfigurationError(f"colour must be one of {get_args(Colour)}, got {colour!r}")
     if drive is not None:
         Protocol(((*drive, *drive),), len(sim.design.electrodes))
     kind = natural_cells(sim.design)
