@@ -16,6 +16,7 @@ from eitskin.datasets.recordings.recording import (
     read_recording as read_recording,
 )
 from eitskin.datasets.store.dataset import Dataset as Dataset
+from eitskin.datasets.store.folder import ShardWriter as ShardWriter
 from eitskin.datasets.store.folder import StoredDataset as StoredDataset
 from eitskin.datasets.store.folder import (
     open_dataset as open_dataset,
@@ -44,4 +45,3 @@ from eitskin.datasets.store.torch_dataset import (
 from eitskin.datasets.store.torch_dataset import (
     TorchDataset as TorchDataset,
 )
-from eitskin.datasets.store.writer import ShardWriter as ShardWriter

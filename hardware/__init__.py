@@ -1,7 +1,8 @@
 """Boards, real and virtual: wire protocol, host, firmware, sensor check and live loop.
 
 Data pass `protocol` (bytes to messages), `boards` (messages to frames), `opening` (a board by its
-URI), `live` (frames to estimates), `export` (files); `virtual` simulates what stands behind a port.
+URI), `live` (frames to estimates), `streams` (readings to other programs); `virtual` simulates what
+stands behind a port.
 """
 
 from eitskin.extras import lazy_exports

@@ -18,8 +18,8 @@ from eitskin.datasets.recipe.frame_sampling import (
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.specimen import Specimen
 from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.folder import touch_columns
 from eitskin.datasets.store.schema import CLAMP_FIELDS
-from eitskin.datasets.store.writer import touch_columns
 from eitskin.geometry.deformation.fixtures import Clamp
 from eitskin.geometry.design.sensor import Plates, SensorDesign
 from eitskin.protocol import Protocol
