@@ -17,6 +17,10 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from rich import box
+from rich.console import Console, ConsoleOptions, JustifyMethod, RenderableType
+from rich.markup import escape
+from rich.table import Table
 
 from eitskin.datasets.store.folder import make_folder
 from eitskin.extras import require
@@ -68,7 +72,10 @@ class Results:
 
 @dataclass(frozen=True, slots=True)
 class ReportTable:
-    """Table as it is shown: headings, rows of cells, and how many first columns name a row."""
+    """Table as it is shown: headings, rows of cells, and how many first columns name a row.
+
+    It goes on below, after those columns again, where the terminal is too narrow for all.
+    """
 
     headings: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -98,6 +105,31 @@ class ReportTable:
                 if number := NUMBER.search(cell):
                     key = " / ".join(filter(None, (title, label, heading)))
                     yield key, float(number[0].replace(",", ""))
+
+    def __rich_console__(
+        self, console: Console, options: ConsoleOptions
+    ) -> Iterator[RenderableType]:
+        """Parts of as many columns as fit, at least one each."""
+        start, count = self.names, len(self.headings)
+        while start < count:
+            end = start + 1
+            while end < count and self._width(console, start, end + 1) <= options.max_width:
+                end += 1
+            yield self._part(start, end)
+            start = end
+
+    def _width(self, console: Console, start: int, end: int) -> int:
+        unbounded = console.options.update(width=10_000)
+        return console.measure(self._part(start, end), options=unbounded).maximum
+
+    def _part(self, start: int, end: int) -> Table:
+        table = Table(box=box.SIMPLE, pad_edge=False)
+        for number in (*range(self.names), *range(start, end)):
+            justify: JustifyMethod = "left" if number < self.names else "right"
+            table.add_column(escape(self.headings[number]), justify=justify)
+        for row in self.rows:
+            table.add_row(*map(escape, (*row[: self.names], *row[start:end])))
+        return table
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
 
 import typer
-from rich.console import Console, RenderableType
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -23,10 +23,13 @@ from rich.progress import (
     TextColumn,
     TimeRemainingColumn,
 )
+from rich.segment import Segment
+from rich.table import Column, Table
+from rich.text import Text
 
 from eitskin import geometry, hardware, training
-from eitskin.cli.terminal import Terminal
 from eitskin.errors import ConfigurationError, cut
+from eitskin.files import visible
 
 if TYPE_CHECKING:
     from eitskin.simulator.electrical.resolution import Discretisation, Resolution
@@ -303,6 +306,37 @@ def _finite(data: Any) -> Any:
     if isinstance(data, (list, tuple)):
         return [_finite(value) for value in data]
     return data
+
+
+class Terminal(Console):
+    """Console on which no text of a file, a board or a pipeline acts as a command.
+
+    It shows control characters of what it prints; colours are its own.
+    """
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterable[Segment]:
+        """Segments of what is printed, in which all text is printable."""
+        for segment in super().render(renderable, options):
+            if segment.control or segment.text.isprintable():
+                yield segment
+            else:
+                yield Segment(visible(segment.text), segment.style)
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Text of a string, as wide as it is shown."""
+        return super().render_str(visible(text), **options)
+
+
+def make_table(
+    headings: Iterable[str | Column], rows: Iterable[Sequence[str]], **look: Any
+) -> Table:
+    """Table of rows of cells, with options of Rich's `Table`."""
+    table = Table(*headings, **look)
+    for cells in rows:
+        table.add_row(*cells)
+    return table
 
 
 @dataclass

@@ -12,7 +12,6 @@ from rich.table import Table
 
 from eitskin.cli import options
 from eitskin.cli.help import Command
-from eitskin.cli.terminal import FigureTable
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require_all
 
@@ -356,10 +355,9 @@ def _present(
         enter(leaderboard, report.results, out / report.results.name, codes or {})
         paths.append(leaderboard)
     files = [str(path) for path in paths]
-    tables = [FigureTable(table.headings, table.rows, table.names) for table in report.tables]
     data = msgspec.to_builtins(report.results) | {"rows": report.rows, "files": files}
-    output.result(data, tables[0])
-    for table in tables[1:]:
+    output.result(data, report.tables[0])
+    for table in report.tables[1:]:
         output.show(table)
     for line in (*report.sentences, str(report.results.provenance)):
         output.show(escape(line))

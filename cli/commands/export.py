@@ -14,7 +14,6 @@ from eitskin import hardware, simulator, training
 from eitskin.cli import options
 from eitskin.cli.commands.simulate import announce_unsolved
 from eitskin.cli.help import Command
-from eitskin.cli.terminal import make_table
 from eitskin.errors import ConfigurationError
 
 app = typer.Typer(
@@ -162,7 +161,7 @@ def export_vtu(
             "fields": fields,
             "seconds": time.perf_counter() - start,
         },
-        make_table(("file", "field"), rows, box=box.SIMPLE),
+        options.make_table(("file", "field"), rows, box=box.SIMPLE),
     )
 
 

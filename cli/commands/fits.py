@@ -14,7 +14,6 @@ from eitskin import datasets, geometry, simulator, training
 from eitskin.cli import options
 from eitskin.cli.commands import recorded_frames
 from eitskin.cli.help import Command
-from eitskin.cli.terminal import make_table
 from eitskin.errors import ConfigurationError, DataError
 
 if TYPE_CHECKING:
@@ -120,7 +119,7 @@ def fit_instrument(
         (name, f"{value:.4g}", "not identifiable" if error is None else f"{error:.2g}", unit)
         for name, value, error, unit in rows
     ]
-    shown = make_table(("parameter", "value", "standard error", "unit"), cells)
+    shown = options.make_table(("parameter", "value", "standard error", "unit"), cells)
     output.result(result, Group(shown, *lines))
     for sentence in _meter_remarks(meter, chosen):
         output.note(sentence)
@@ -264,7 +263,7 @@ def fit_twin(
         for name, each in agreements
     ]
     headings = (Column("number", no_wrap=True), "value", "error", "prior", "unit")
-    output.result(plain, Group(make_table(headings, _twin_rows(twin)), *lines))
+    output.result(plain, Group(options.make_table(headings, _twin_rows(twin)), *lines))
     for sentence in _twin_remarks(twin):
         output.note(sentence)
     output.note(f"twin: {out}")

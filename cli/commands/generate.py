@@ -12,8 +12,7 @@ import typer
 from rich.filesize import decimal
 
 from eitskin import datasets
-from eitskin.cli.options import Output, with_output
-from eitskin.cli.terminal import make_table
+from eitskin.cli.options import Output, make_table, with_output
 from eitskin.datasets.recipe import shipped_names
 from eitskin.errors import ConfigurationError
 

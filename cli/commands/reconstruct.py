@@ -13,7 +13,6 @@ from eitskin.cli import options
 from eitskin.cli.commands.live.session import LiveSession
 from eitskin.cli.commands.recorded_frames import FrameOptions, PicturedFrames
 from eitskin.cli.page.access import PageOptions, tell_invitations
-from eitskin.cli.terminal import make_table
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -136,7 +135,7 @@ def command(
     }
     headings = ("frame", Column("method", no_wrap=True), "lambda")
     ends = ("least, %", "at, mm", "largest, %", "at, mm")
-    output.result(data, make_table((*headings, *ends), map(_cells, rows), pad_edge=False))
+    output.result(data, options.make_table((*headings, *ends), map(_cells, rows), pad_edge=False))
     for row in rows if segment else ():
         for region in row["regions"]:
             x, y = (1e3 * each for each in region["centre"])

@@ -13,7 +13,6 @@ from rich.table import Column, Table
 
 from eitskin import geometry, hardware, simulator
 from eitskin.cli import options
-from eitskin.cli.terminal import make_table
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -164,7 +163,7 @@ def _as_table(data: dict[str, Any], with_frequency: bool) -> Table:
     headings = [Column(figure, justify="right") for figure in figures]
     names = "measurements", "impedance_real_ohm", "impedance_imag_ohm", "change_ohm"
     columns = [*(data[name] for name in names), data["relative_change"]]
-    return make_table(
+    return options.make_table(
         (heading, *headings),
         (
             (label, f"{R:.3f}", f"{X:.3f}", f"{change:+.3f}", _percent(part))
@@ -216,7 +215,7 @@ def _touch_tables(touches: list[dict[str, Any]]) -> Iterator[RenderableType]:
         for place, touch in zip(places, touches, strict=True)
     )
     if touches:
-        yield make_table(("touch\nat, mm", *headings), rows)
+        yield options.make_table(("touch\nat, mm", *headings), rows)
     for place, touch in zip(places, touches, strict=True):
         if touch["caution"]:
             yield f"caution: touch at {place} mm: {touch['caution']}"
@@ -292,7 +291,10 @@ def mesh(
     new_mesh = stored_mesh(design, grading, kind)
     data = _mesh_data(design, new_mesh, kind, time.perf_counter() - start)
     output.result(
-        data, make_table(("mesh", Column("", justify="right")), _mesh_rows(data), show_header=False)
+        data,
+        options.make_table(
+            ("mesh", Column("", justify="right")), _mesh_rows(data), show_header=False
+        ),
     )
     if view is not None:
         from eitskin.simulator.view.scene_pictures import draw_drive, draw_mesh, model_for_pictures
@@ -388,7 +390,7 @@ def virtual_board(
         from eitskin.hardware.virtual.fault_table import FAULTS
 
         meanings = {name: kind.meaning for name, kind in FAULTS.items()}
-        output.result(meanings, make_table(("fault", "what it does"), meanings.items()))
+        output.result(meanings, options.make_table(("fault", "what it does"), meanings.items()))
         return
     output.detail(f"meshing at resolution {resolution}, computing the scenes")
     terminal = hardware.virtual_terminal(

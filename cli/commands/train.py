@@ -18,10 +18,10 @@ from eitskin.cli.options import (
     Model,
     Output,
     Replace,
+    make_table,
     own_method,
     with_output,
 )
-from eitskin.cli.terminal import make_table
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require_all
 

@@ -23,9 +23,8 @@ from eitskin.cli.demo.pictures import (
     render_picture,
     touch_positions,
 )
-from eitskin.cli.options import Output
+from eitskin.cli.options import Output, make_table
 from eitskin.cli.page.commands import STEPS
-from eitskin.cli.terminal import make_table
 from eitskin.datasets.recipe.recipe import Recipe, with_seed
 from eitskin.datasets.recordings.recorded_file import RecordingNames
 from eitskin.datasets.recordings.recording import read_recording

@@ -13,9 +13,9 @@ from command_line import run
 from rich.progress import Progress
 from rich.table import Table
 
+from eitskin.benchmarks.results import ReportTable
 from eitskin.cli import entry
-from eitskin.cli.options import Output
-from eitskin.cli.terminal import FigureTable, Terminal
+from eitskin.cli.options import Output, Terminal
 from eitskin.datasets import Dataset, save_dataset
 from eitskin.errors import ConfigurationError, DataError, DeviceError, FrameError
 from eitskin.geometry import SensorDesign
@@ -247,7 +247,7 @@ def test_a_table_of_figures_goes_on_below_where_it_is_too_wide(width, parts):
         ("two", "5.5", "2.9", "1.5", "0.9"),
     ]
     console = Terminal(file=io.StringIO(), width=width)
-    console.print(FigureTable(headings, rows))
+    console.print(ReportTable(headings, rows))
     lines = console.file.getvalue().splitlines()
     assert max(map(len, lines)) <= width
     if width > 10:

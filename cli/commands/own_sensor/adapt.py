@@ -27,7 +27,6 @@ from eitskin.cli.commands.recorded_frames import (
     select_one_sensor,
 )
 from eitskin.cli.commands.tare import ReferenceFile, use_reference
-from eitskin.cli.terminal import make_table
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.extras import require_all
 
@@ -161,7 +160,7 @@ def curve_table(curve: "Sequence[CurvePoint]") -> Table:
         cells = ["" if value is None else form.format(value) for value, form in values]
         rows.append((str(point.frames), point.method, *cells))
     figures = (Column(name, justify="right") for name, _, _ in shown_columns)
-    return make_table(("labelled frames", "method", *figures), rows, title=title)
+    return options.make_table(("labelled frames", "method", *figures), rows, title=title)
 
 
 def adaptation_facts(pipeline: "training.Pipeline") -> dict[str, object]:
@@ -209,7 +208,7 @@ def calibration_table(calibration: "Calibration") -> Table:
     ]
     caption = f"residual of the calibration frames {calibration.residual_deg:.2f} deg"
     headings = ("angle, deg", "standard error before, deg", "after, deg")
-    return make_table(headings, rows, caption=caption)
+    return options.make_table(headings, rows, caption=caption)
 
 
 Angles = Annotated[
