@@ -6,7 +6,11 @@ into heat; by the other factorisation, the one with which sensitivities are comp
 
 import cmath
 import dataclasses
+import multiprocessing
+import resource
+import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from typing import Any
 
@@ -15,7 +19,8 @@ from numpy.typing import NDArray
 
 from eitskin.benchmarks.stability.case import Case, CaseValues
 from eitskin.benchmarks.stability.closed_forms import block, shunt_pair
-from eitskin.geometry import Electrode, Layer, Rectangle, SensorDesign
+from eitskin.geometry import Disc, Electrode, Layer, Polygon, Rectangle, SensorDesign
+from eitskin.geometry.design.regular_layouts import grid, uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh_design import CellKind
 from eitskin.simulator import ForwardModel, Protocol
@@ -28,6 +33,7 @@ Numbers = NDArray[np.inexact]
 L, W, H = 0.15, 0.06, 0.005  # of the block [m]
 OUTLINE = Rectangle(L, W)
 AREA = W * H
+_ANGLE = ((0.0, 0.0), (0.1, 0.0), (0.1, 0.04), (0.04, 0.04), (0.04, 0.1), (0.0, 0.1))
 COARSE = Grading(finest=2e-2, coarsest=2e-2, growth=1.0)
 
 
@@ -281,3 +287,64 @@ def _shunt(spans: Spans, cells: CellKind = "hexahedra") -> CaseValues:
 def _pair_case(spans: Spans) -> CaseValues:
     """Pair of electrodes without a closed form: only the invariants hold."""
     return solve_both(pair(spans, 1e-3), ((4,), Grading(1e-6, 2e-2, 1.5)))
+
+
+def _uncommon_designs() -> dict[str, SensorDesign]:
+    disc, angle, strip = Disc(0.050), Polygon(_ANGLE), Rectangle(0.300, 0.020)
+    side = uniform(OUTLINE, 8)
+    inside = grid(OUTLINE, 2, 2, 0.006, on="inside", z=0.5 * H)
+    pads = grid(OUTLINE, 2, 4, 0.006, on="top") + grid(OUTLINE, 2, 4, 0.006, on="bottom")
+    unequal, low = (
+        tuple(dataclasses.replace(e, height=1e-3 * (1 + k % 4)) for k, e in enumerate(each))
+        for each in (side, uniform(disc, 8))
+    )
+    layers = tuple(Layer(1e-3 * mm, sigma) for mm, sigma in ((1, 0.1), (3, 1.0), (1, 5.0)))
+    return {
+        "disc": SensorDesign(disc, H, uniform(disc, 8)),
+        "L": SensorDesign(angle, H, uniform(angle, 8)),
+        "1 mm thin": SensorDesign(OUTLINE, 0.001, side),
+        "20 mm thick": SensorDesign(OUTLINE, 0.020, side, encapsulated_thickness=0.027),
+        "32 electrodes": SensorDesign(OUTLINE, H, uniform(OUTLINE, 32, width=0.004)),
+        "four inside": SensorDesign(OUTLINE, H, inside),
+        "eight on the side, four inside": SensorDesign(OUTLINE, H, side + inside),
+        "pads on top and bottom": SensorDesign(OUTLINE, H, pads),
+        "three layers": SensorDesign(OUTLINE, H, side, layers=layers),
+        "strip of 300 x 20 mm": SensorDesign(strip, H, uniform(strip, 8)),
+        "electrodes 1 to 4 mm high": SensorDesign(OUTLINE, H, unequal),
+        "disc, electrodes 1 to 4 mm high": SensorDesign(disc, H, low),
+    }
+
+
+def ordinary_designs(quick: bool) -> Iterator[Case]:
+    """Cases of uncommon designs that fit the memory, or are refused with a resolution that does.
+
+    Unknowns, time and memory are those of one frame at "standard"; the error is the largest
+    relative difference of flat resistances between "fast" and "standard".
+    """
+    designs = _uncommon_designs()
+    for name in ("disc",) if quick else designs:
+        # A process of its own: a system remembers the most that one used.
+        solve = partial(_in_process, designs[name])
+        yield Case(name, solve, None, "fits this design", error_limit=5e-2)
+
+
+def _in_process(design: SensorDesign) -> CaseValues:
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(_measure, design).result()
+
+
+def _measure(design: SensorDesign) -> CaseValues:
+    """Frame at both resolutions; peak memory and processor time are those of "standard"."""
+    protocol, began = Protocol.pairwise(len(design.electrodes)), time.process_time()
+    model = ForwardModel(design, "standard")
+    R = protocol.measure(model.impedance()).real
+    seconds = time.process_time() - began
+    gigabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    fast = protocol.measure(ForwardModel(design, "fast").impedance()).real
+    error = float(np.abs(fast / R - 1.0).max())
+    figures = {"unknowns": model.unknowns, "s": seconds, "GB": gigabytes, "fast [%]": 100.0 * error}
+    return CaseValues(
+        error=error,
+        figures=figures,
+        reached=f"{model.unknowns:,} unknowns, {seconds:.1f} s, {gigabytes:.2f} GB",
+    )

@@ -18,7 +18,6 @@ from eitskin.benchmarks.results import Report, ReportTable, Watch, make_results
 from eitskin.benchmarks.stability import electrical, extremes, mechanical
 from eitskin.benchmarks.stability.case import QUANTITIES, Case, CaseValues, Outcome, judge
 from eitskin.benchmarks.stability.electrical import imbalance
-from eitskin.benchmarks.stability.ordinary_designs import ordinary_designs
 from eitskin.geometry import (
     Bend,
     Disc,
@@ -59,7 +58,7 @@ def cases(seed: int, quick: bool) -> dict[str, Iterable[Case]]:
         "contact impedance": electrical.contacts(),
         "electrodes": electrical.electrodes(quick),
         "thin layers": electrical.layers((1e-6, 1.0, 1e6), shares),
-        "ordinary designs": ordinary_designs(quick),
+        "ordinary designs": electrical.ordinary_designs(quick),
         "random designs": random_designs(seed, 20 if quick else 300),
     }
 

@@ -16,7 +16,6 @@ from eitskin.benchmarks.results import read_results
 from eitskin.benchmarks.stability import electrical, extremes, mechanical
 from eitskin.benchmarks.stability import run as stability
 from eitskin.benchmarks.stability.case import Case, CaseValues, judge
-from eitskin.benchmarks.stability.ordinary_designs import ordinary_designs
 from eitskin.benchmarks.stability.run import random_designs
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
@@ -98,7 +97,7 @@ def test_the_heat_balance_sees_a_wrong_conductivity():
         (mechanical.compositions, "press, arc of 360 deg", "ok"),
         (mechanical.compositions, "two presses 0 mm apart", "refused"),
         (mechanical.incompressible, "nu = 0.49999", "ok"),
-        (ordinary_designs, "disc", "ok"),
+        (electrical.ordinary_designs, "disc", "ok"),
     ],
 )
 def test_deformations_are_right_to_their_ends(cases, name, outcome):
