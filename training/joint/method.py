@@ -267,10 +267,10 @@ class JointMethod(Method):
         self, change: CombinedChange, reference: AngleEstimate, specimen: SpecimenModel
     ) -> FrameFit:
         """The fit to one frame by the response or, where that is likelier, by the other one."""
-        usual = self._fit_frame(change, reference, specimen)
-        if specimen.other is None or not usual.may_be_touched:
+        usual, rival = self._fit_frame(change, reference, specimen), specimen.other
+        if rival is None or not (usual.may_be_touched and usual.may_fit_better(rival.response)):
             return usual
-        other = self._fit_frame(change, reference, specimen.other)
+        other = self._fit_frame(change, reference, rival)
         return other if usual.improbability - other.improbability > -2.0 * OTHER_ODDS else usual
 
     def _fit_frame(

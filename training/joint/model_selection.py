@@ -33,7 +33,7 @@ from eitskin.training.joint.objective import (
     price,
     solution,
 )
-from eitskin.training.joint.touch_response import MAX_TOUCHES
+from eitskin.training.joint.touch_response import MAX_TOUCHES, SpecimenResponse
 from eitskin.training.joint.touch_search import (
     FINE,
     TouchCandidates,
@@ -67,6 +67,7 @@ ALLOWANCE = (6.0, 30.0, 50.0)
 """Most that a wide contact, of five or six unknowns, may raise the misfit of 2, 3, ... touches to
 be a rival: each touch that it spares has three unknowns, and a wide contact less odds."""
 STEPS, TOLERANCE = 7, 0.5  # of the fit of a wide contact, and promise of its misfit at the end
+FAR = 20.0  # improbability above that of a fit, from which another response is not fitted
 HINT = 8.0  # decrease of the misfit, to first order, from which a touch may be there
 DAMPING, LIGHTER, HEAVIER = 1e-2, 0.2, 6.0  # of its steps, and factors after good and bad ones
 SIZE_UNIT, LEAST_SIZE = 0.010, 0.005  # m, unit step of half lengths and radii, and the least first
@@ -229,6 +230,17 @@ class FrameFit:
         """Whether the frame has touches, or may have, as by another response."""
         poor = self.estimate.misfit_sigma > CHI2_HIGH_SIGMA
         return bool(len(self.touches)) or poor or self.faint > HINT
+
+    def may_fit_better(self, response: SpecimenResponse) -> bool:
+        """Whether another response may be likelier, by its fit from where this one ended.
+
+        From touches that this one explains well, a response that does not hold is far away.
+        """
+        if not len(self.touches) or self.estimate.misfit_sigma > CHI2_HIGH_SIGMA:
+            return True
+        objective = replace(self.estimate.objective, response=response)
+        tried = levenberg_marquardt(objective, self.estimate.unknowns, *COARSE)
+        return tried.improbability < self.estimate.improbability + FAR
 
     def take_touches_out(self, change: CombinedChange) -> CombinedChange:
         """The change less that by the touches, whose errors count as noise."""

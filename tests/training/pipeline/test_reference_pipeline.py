@@ -14,6 +14,8 @@ from eitskin.errors import DataError, FrameError
 from eitskin.geometry import Bend, Clamp, Plates, SensorDesign
 from eitskin.simulator import Frame, Instrument, Protocol, Scene, Simulator, Touch
 from eitskin.training import FrameLabel, Pipeline, TouchLabel
+from eitskin.training.joint.method import JointMethod
+from eitskin.training.joint.model_selection import FrameFit
 
 DESIGN = SensorDesign.reference()
 ANGLES = (-20.0, 0.0, 15.0, 30.0, 50.0)
@@ -81,6 +83,26 @@ def test_touches_on_plates_are_found_and_no_others(angle_deg):
         said = session(Scene(Bend(angle_deg), (Touch(*place, 8.0),)))
         assert_touched(said, place)
         assert session(Scene(Bend(angle_deg))).state is not State.TOUCH
+
+
+def test_the_response_on_plates_is_fitted_only_where_it_may_hold(simulator, monkeypatch):
+    """Estimates are those of both fits; most touches on a base need one."""
+    fit_frame, fits, places = JointMethod._fit_frame, [], []
+    monkeypatch.setattr(
+        JointMethod, "_fit_frame", lambda *given: fits.append(1) or fit_frame(*given)
+    )
+    for weighs_both in (False, True):
+        if weighs_both:
+            monkeypatch.setattr(FrameFit, "may_fit_better", lambda *_: True)
+        session = Session(simulator)
+        touched = Scene(touches=(Touch(0.05, 0.02, 8.0), Touch(0.11, 0.04, 6.0)))
+        estimates = list(map(session, [Scene()] * 4 + [touched, Scene()] * 4))
+        places.append([touch.x for each in estimates for touch in each.touches])
+        fits.append(0)
+    assert len(places[0]) == 8
+    assert places[0] == places[1]
+    first = fits.index(0)
+    assert first < 0.8 * sum(fits[first:])
 
 
 def test_bent_sensors_are_told_where_touched_and_capacitances_by_phases(session):
