@@ -368,7 +368,7 @@ def low_electrodes(heights):
         (4 * (1e-3,), "fast", "hexahedra", 4e-3),
         ((1e-3, 4e-3, 3e-3, 2e-3), "fast", "hexahedra", 4e-3),
         ((1e-3, 4e-3, 3e-3, 2e-3), "standard", "hexahedra", 3e-3),
-        (4 * (2e-3,), "fast", "prisms", 3e-3),
+        ((1e-3, 4e-3, 3e-3, 2e-3), "fast", "prisms", 4e-3),
     ],
 )
 def test_electrodes_lower_than_the_layer(heights, resolution, cells, error):
