@@ -97,6 +97,7 @@ class HeldTouch:
     _scatter: deque[float] = field(default_factory=lambda: deque(maxlen=NOISE_FRAMES))
     _latest: float = -1.0  # scatter of the latest three frames; -1 where it is taken
     _touched: deque[bool] = field(default_factory=lambda: deque(maxlen=3))
+    _explained: deque[bool] = field(default_factory=lambda: deque(maxlen=2))  # by their touches
     _speed: float = 0.0  # of the latest motion: its statistic over its limit and over weight
     _moving: float = MOVING  # probability of motion in the latest frames
 
@@ -122,7 +123,8 @@ class HeldTouch:
             bent = self._changes[-1] - 0.5 * (self._changes[-2] + change)
             finite_angles = bent[np.isfinite(bent)]
             self._latest = float(finite_angles @ finite_angles) / (1.5 * max(len(finite_angles), 1))
-            if not self.is_noise_known and self._latest < (JUMPS * self.noise) ** 2:
+            noise_like = self._latest < (JUMPS * self.noise) ** 2 and not any(self._explained)
+            if not self.is_noise_known and noise_like:
                 self._take_scatter()
         self._changes.append(change)
         if not held:
@@ -132,12 +134,14 @@ class HeldTouch:
         mean: Voltages = np.mean(list(self._frames)[-count:], axis=0)
         return np.where(np.isfinite(mean) | ~np.isfinite(V), mean, V), count
 
-    def settle(self, touched: bool) -> None:
+    def settle(self, touched: bool, explained: bool) -> None:
         """Take the latest frame for touched or not; the noise is that of three alike.
 
-        Touches that come and go, or jump, scatter as well.
+        Touches that come and go, or jump, scatter as well. Before the noise is known, only touches
+        that explain their frame are told from it.
         """
         self._touched.append(touched)
+        self._explained.append(touched and explained)
         most = RISE * self._untouched if touched else (JUMPS * self.noise) ** 2
         if self.is_noise_known and len(set(self._touched)) == 1 and self._latest < most:
             self._take_scatter()

@@ -332,7 +332,8 @@ class Pipeline:
         perceived = session.with_lag(perceived)
         if (touched := perceived.is_touched(self.targets)) or not first:
             along = self.method.motions(observed, perceived) if touched else None
-            session.renew(voltages, touched, perceived.probabilities[0, State.TOUCH], along)
+            chance, explained = perceived.probabilities[0, State.TOUCH], not perceived.problems[0]
+            session.renew(voltages, touched, chance, along, explained)
         problems += (
             *stepped,
             *failed,

@@ -258,6 +258,7 @@ class Session:
         touched: bool,
         chance: float = 0.0,
         directions: NDArray[np.float64] | None = None,
+        explained: bool = True,
     ) -> None:
         """Renew the references by an untouched frame (measurements,) [ohm]; freeze them else.
 
@@ -268,6 +269,7 @@ class Session:
                 weighed together with it.
             directions: directions of changes by a motion of its touches along x, along y, by all
                 of their forces, and by bends; see `Method.motions`.
+            explained: whether its touches explain the frame.
         """
         if directions is not None:
             directions = self._touches.renew(voltages, directions)
@@ -277,7 +279,7 @@ class Session:
         self._suspected = touched or (
             self.averages and (chance > SUSPICION_PROBABILITY or self._lingers)
         )
-        self._held.settle(touched)
+        self._held.settle(touched, explained)
         if directions is not None or not self._suspected:
             self._held.directions = np.zeros((0, 0)) if directions is None else directions
         if self._suspected and started:

@@ -105,6 +105,14 @@ def test_the_response_on_plates_is_fitted_only_where_it_may_hold(simulator, monk
     assert first < 0.8 * sum(fits[first:])
 
 
+def test_taps_that_begin_with_the_session_are_not_taken_for_noise(simulator):
+    session, places = Session(simulator), ((0.05, 0.02), (0.11, 0.04))
+    for _ in range(4):
+        session(Scene())
+        said = session(Scene(touches=tuple(Touch(*place, 8.0) for place in places)))
+        assert_touched(said, *places)
+
+
 def test_bent_sensors_are_told_where_touched_and_capacitances_by_phases(session):
     bend, places = Bend(30.0), [(0.040, 0.020), (0.110, 0.040)]
     for _ in range(3):
