@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from eitskin import compiled
-from eitskin.benchmarks.accuracy import shear_deformation
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Hinge, Rectangle, SensorDesign
+from eitskin.geometry.deformation.kinematics import Displaced
 from eitskin.geometry.design.regular_layouts import grid, uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import (
@@ -246,6 +246,15 @@ def test_specimens_share_a_mesh_and_factors(small) -> None:
 
 
 # Resolutions
+
+
+def shear_deformation(axis: int) -> Displaced:
+    """Simple shear of the whole layer by 45 deg, along x (0) or y (1)."""
+    slope = np.zeros((3, 3))
+    slope[axis, 2] = 1.0
+    return Displaced(
+        lambda x: np.asarray(x @ slope.T), lambda x: np.broadcast_to(slope, (*x.shape[:-1], 3, 3))
+    )
 
 
 DESIGN = SensorDesign.reference()
