@@ -138,7 +138,7 @@ class HeldTouch:
         """Take the latest frame for touched or not; the noise is that of three alike.
 
         Touches that come and go, or jump, scatter as well. Before the noise is known, only touches
-        that explain their frame are told from it.
+        that explain their frame are distinguished from it.
         """
         self._touched.append(touched)
         self._explained.append(touched and explained)
