@@ -60,9 +60,9 @@ _MAX_SLENDERNESS = 1.5
 # Distance from a re-entrant corner, over the thickness of the stack, within which sums over sides
 # leave more than 7 %.
 _MIN_CORNER_DISTANCE = 2.0
-# Errors of the signal that 95 of 100 presses stay below beyond these distances, on a flat sensor
-# (3.1 % of 32 in `bench world`, and 0.7 % of the mesh of "fast"), on a flat polygon, on plates and
-# over their gap, flat or bent, and on a rigid base that a clamp bends after the press.
+# Errors of the signal beyond these distances, which 95 of 100 presses on a flat sensor stay below
+# (3.1 % of 32 in `bench world`, and 0.7 % of the mesh of "fast"), and the few that were compared on
+# a flat polygon, on plates and over their gap, flat or bent, and bent by a clamp after the press.
 _FLAT, _POLYGON, _ON_PLATES, _OVER_GAP, _BENT_AFTER = 0.04, 0.07, 0.05, 0.10, 0.15
 # The same beside a side, and in a corner nearer to its vertex than so many radii of the indenter:
 # tables are up to 4.7 % off solutions there, and these 3.8 % off the references.

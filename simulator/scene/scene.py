@@ -108,12 +108,13 @@ class PressedTouch:
         thinning: 1 - thickness over undeformed thickness of the gel, on the axis.
         edge_distance: distance from the axis to the nearest edge of the gel [m].
         neighbour_distance: distance from the axis to that of the nearest other touch [m].
-        signal_error: relative error of the signal that 95 of 100 presses stay below, by comparisons
-            with other solutions at such distances (docs/results/simulator.md) and with that of the
-            mesh of "fast"; None nearer to an edge or deeper than any comparison, with thinner
-            covers, other ratios of moduli or smaller indenters than any, next to re-entrant
-            corners, on other outlines than rectangles and polygons, and on a sensor that is bent,
-            rolled or twisted after it is pressed.
+        signal_error: relative error of the signal by comparisons with other solutions at such
+            distances (docs/results/simulator.md) and with that of the mesh of "fast". 95 of 100
+            presses stay below it in the middle of a flat rigid base; near sides, on plates, over
+            gaps and on polygons it is above the few that were compared. None nearer to an edge or
+            deeper than any comparison, with thinner covers, other ratios of moduli or smaller
+            indenters than any, next to re-entrant corners, on other outlines than rectangles and
+            polygons, and on a sensor that is bent, rolled or twisted after it is pressed.
         caution: why the dent is less exact than a single one in the middle of the sensor; empty
             otherwise.
     """

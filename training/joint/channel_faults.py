@@ -35,7 +35,7 @@ FAULT_PRICE = 2.0 * math.log(36 / 0.05)
 """Decrease of minus twice the log density that is asked of each fault: any of some three dozen has
 odds of 0.05 before a frame is seen."""
 MAX_CONTACTS = 3  # that are taken to have changed together
-AGEING = (0.03, 0.1, 0.3, 1.0)  # sizes of changes of all contacts, in those of one that has changed
+AGEING = (0.03, 0.1, 0.3, 1.0)  # changes of all contacts, in those of one; `alone` bounds up to 1
 STEPS, TOLERANCE = 6, 0.1  # of Levenberg-Marquardt without the faulty measurements
 
 
