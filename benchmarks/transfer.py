@@ -85,10 +85,10 @@ _COLUMNS: Columns = {
     "pipeline": ("pipeline", "", 1),
     "world": ("world", "", 1),
     "labelled": ("labelled", "", 1),
-    "states [%]": ("untouched states right", ".3g", 100.0),
+    "states [%]": ("states right", ".3g", 100.0),
     "angle [deg]": ("angle, rms [deg]", ".3g", 1.0),
     "/ SE": ("angle, error over standard error", ".3g", 1.0),
-    "false [%]": ("touches in untouched frames", ".3g", 100.0),
+    "numbers [%]": ("numbers of touches right", ".3g", 100.0),
     "found [%]": ("touches found", ".3g", 100.0),
     "place [mm]": ("place, mean [mm]", ".3g", 1.0),
     "place / SE": ("place, error over standard error", ".3g", 1.0),
@@ -198,14 +198,15 @@ class LabelledCounts:
 
 
 def judge(data: Dataset, said: Predictions) -> Figures:
-    """Figures of predictions: states, angles and false touches are those of untouched frames."""
+    """Figures of predictions; angles are those of untouched frames."""
     matches, free = Matches.from_dataset(data, said), data.state != State.TOUCH
     angle = (said.bend_angle_deg - data.bend_angle_deg)[free]
+    numbers = np.array([len(touches) for touches in said.touches])
     figures = {
-        "untouched states right": float((said.state == data.state)[free].mean()),
+        "states right": float((said.state == data.state).mean()),
         "angle, rms [deg]": root_mean_square(angle),
         "angle, error over standard error": root_mean_square(angle / said.bend_deviation_deg[free]),
-        "touches in untouched frames": float(matches.false[free].mean()),
+        "numbers of touches right": float((numbers == data.touch_count).mean()),
         "touches found": float(len(matches.error) / data.touch_count.sum()),
     }
     if len(matches.error):
