@@ -282,7 +282,7 @@ class PlateBend:
 
     def problem(self, indenter: Indenter) -> Problem:
         """Table of presses by an indenter."""
-        return self._case(indenter).problem()
+        return _problem(self._case(indenter))
 
     def reaches(self, indenter: Indenter, x: float, depth: float) -> bool:
         """Whether a dent at x to a depth [m] is within the table."""
@@ -307,7 +307,7 @@ class PlateBend:
         """
         self._require_reach(indenter, places, angles_deg)
         case = self._case(indenter)
-        table, (along, across) = load_or_solve(case.problem(), _table), case.bases()
+        table, (along, across) = load_or_solve(_problem(case), _table), case.bases()
         (x, y, depth), higher = places.T, self.design.thickness / table.size("height")
         images = DIRECT, MIRRORED_Y, MIRRORED_X, BOTH_MIRRORED
         every = sum_of(table, (table,), sums.components if sums else 3, images)
@@ -401,6 +401,11 @@ def _stiffening(angles_deg: Array) -> Array:
 def _bend(plate_bend: PlateBend) -> Deformation:
     fixed = plate_bend.design, plate_bend.clamp, plate_bend.mechanics, Bend(plate_bend.angle_deg)
     return bend_table.bend(*fixed, plate_bend.grid)
+
+
+@lru_cache(maxsize=64)
+def _problem(case: PlatesCase) -> Problem:
+    return case.problem()
 
 
 @lru_cache(maxsize=64)

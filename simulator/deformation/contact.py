@@ -41,8 +41,8 @@ class BentState(Protocol):
         """Hash, under which solved presses are kept."""
         ...
 
-    def positions(self, points: Array) -> Array:
-        """Bent positions [m], (..., 3), of flat points [m], (..., 3)."""
+    def map_points(self, points: Array) -> tuple[Array, Array]:
+        """Bent positions [m], (..., 3), of flat points [m], and gradients, (..., 3, 3)."""
         ...
 
     def gradient(self, points: Array) -> Array:
@@ -90,12 +90,13 @@ class ContactFrame:
         top = np.full((len(places), 1), stack.levels[-1] - stack.levels[stack.gel])
         touched = np.concatenate([places, top], axis=1)
         around = touched[:, None] + _GRADIENT_OFFSET * _BESIDE
-        F = bent.gradient(around.reshape(-1, 3)).reshape(-1, len(_BESIDE), 3, 3).mean(axis=1)
+        moved, F = bent.map_points(np.concatenate([touched, around.reshape(-1, 3)]))
+        F = F[len(places) :].reshape(-1, len(_BESIDE), 3, 3).mean(axis=1)
         along, normal = F[..., 0], np.cross(F[..., 0], F[..., 1])
         along, normal = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (along, normal))
         rotations = np.stack([along, np.cross(normal, along), normal], axis=2)
         stretches = np.linalg.norm(F[..., :2], axis=1)
-        parts = zip(places.tolist(), bent.positions(touched), rotations, stretches, strict=True)
+        parts = zip(places.tolist(), moved[: len(places)], rotations, stretches, strict=True)
         return [cls(x, y, *others) for (x, y), *others in parts]
 
     @property

@@ -293,7 +293,7 @@ class FiniteStack:
             moved = sum((other.evaluate(points).displacement for other in others), np.zeros((1, 3)))
             if self._bent is None or frame is None:
                 return moved
-            bent = self._bent.positions(self._in_design(points))
+            bent = self._bent.map_points(self._in_design(points))[0]
             return np.asarray(moved + bent - frame.flatten_points(points))
 
         mesh, top = self.body.mesh, self.body.facets("top")

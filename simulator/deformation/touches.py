@@ -171,7 +171,8 @@ def _solve_dents(
         ]
         scene = _DentedScene(dented, np.zeros(len(touches)))
         presses = {n: each.press for n, each in enumerate(dented) if each.press is not None}
-        acting = tuple(touches[number] for number in presses)
+        # As their dents, so that forces are not looked up once more.
+        acting = tuple(touches[n] if touches[n].depth else press for n, press in presses.items())
         if acting and resolve_touch_model(acting, sensor) == "solved":
             solved = sensor.solve(tuple(presses.values()))
             scene = scene._replace(solved=solved)
