@@ -11,7 +11,7 @@ import logging
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, reduce
+from functools import cached_property, lru_cache, reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,21 +102,33 @@ class BentLayer(Deformation):
         return positions, np.moveaxis(slope, (0, 1), (-2, -1)) @ gradients
 
 
-def _mirror_quarter(nodes: Sequence[Array], values: Array) -> Field:
-    """Field of the displacements (nx, ny, nz, 3) of the nodes of a quarter, mirrored to all."""
+def _mirror_quarter(values: Array) -> Array:
+    """Values (..., nx, ny, nz, 3) for a quarter, at nodes or of splines, mirrored to all."""
     for axis in range(2):
         # u_x is odd and the others are even along x; likewise u_y along y.
-        half = len(nodes[axis]) - 1
-        values = np.take(values, np.abs(np.arange(-half, half + 1)), axis)
-        odd = np.moveaxis(values, axis, 0)[..., axis]
+        half = values.shape[axis - 4] - 1
+        values = np.take(values, np.abs(np.arange(-half, half + 1)), axis - 4)
+        odd = np.moveaxis(values, axis - 4, 0)[..., axis]
         odd[:half] *= -1.0
         odd[half] = 0.0
+    return values
+
+
+def _quarter_splines(nodes: Sequence[Array], values: Array) -> tuple[Field, Array]:
+    """A field, and coefficients of its splines of a quarter that interpolate values in it.
+
+    Both values and coefficients are (angles, nx, ny, nz, 3); the field has those of all angles.
+    """
+    angles, nx, ny, nz, _ = values.shape
+    every = np.moveaxis(_mirror_quarter(values), 0, 3).reshape(2 * nx - 1, 2 * ny - 1, nz, -1)
     x, y = (CubicSplines(np.concatenate([-node[:0:-1], node])) for node in nodes[:2])
     top = float(nodes[2][-1])
-    return Field.from_values(values, (x, y), 2.0 * top, nodes[2] / top)
+    field = Field.from_values(every, (x, y), 2.0 * top, nodes[2] / top)
+    own = field.coefficients[nx - 1 :, ny - 1 :].reshape(nx, ny, nz, angles, 3)
+    return field, np.ascontiguousarray(np.moveaxis(own, 3, 0))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class BendTable:
     """Bends of the gel of one sensor.
 
@@ -130,11 +142,17 @@ class BendTable:
     values: Array
     sizes: Mapping[str, Array]
 
+    @cached_property
+    def _splines(self) -> tuple[Field, Array]:
+        """Splines that take the values at all angles, as of `_quarter_splines`."""
+        return _quarter_splines([self.sizes[name] for name in "xyz"], self.values)
+
     @classmethod
     def from_tables(cls, tables: Sequence[tuple[SolutionTable, float]]) -> "BendTable":
         """Sum of solved tables with weights that add up to 1, over the angles of all."""
         angles = reduce(np.intersect1d, (table.nodes("angle") for table, _ in tables))
-        values = sum(weight * table.evaluate(angle=angles)[0] for table, weight in tables)
+        wanted = tuple(angles.tolist())
+        values = sum(weight * _evaluate(table, wanted) for table, weight in tables)
         sizes = {
             name: np.asarray(sum(weight * table.sizes[name] for table, weight in tables))
             for name in tables[0][0].sizes
@@ -159,12 +177,16 @@ class BendTable:
         self.check(angle_deg)
         over_angle = Axis("angle", "spline", self.angles_deg)
         (weights,) = over_angle.weights(np.array([angle_deg]))[0]
-        values = np.tensordot(weights, self.values, axes=1)
-        x, y, z, centre, thickness = (
-            self.sizes[name] for name in ("x", "y", "z", "centre", "thickness")
+        splines, quarters = self._splines
+        coefficients = _mirror_quarter(np.tensordot(weights, quarters, axes=1))
+        ends = np.array([self.sizes[name][-1] for name in "xyz"])
+        return BentLayer(
+            dataclasses.replace(splines, coefficients=coefficients),
+            self.sizes["centre"],
+            ends,
+            float(self.sizes["thickness"]),
+            angle_deg,
         )
-        field, ends = _mirror_quarter((x, y, z), values), np.array([x[-1], y[-1], z[-1]])
-        return BentLayer(field, centre, ends, float(thickness), angle_deg)
 
 
 def tabulate_bends(
@@ -304,8 +326,7 @@ class _Case:
 
     def table(self) -> SolutionTable:
         """Table of the case, solved where it is not stored."""
-        table = load_or_solve(self.problem(), _from_arrays)
-        return table.rescale(self._length)
+        return _rescale(load_or_solve(self.problem(), _from_arrays), self._length)
 
     def _solve(self, report: Report) -> Arrays:
         log.info("solving the bends of a clamped sensor, which takes half a minute")
@@ -321,6 +342,18 @@ class _Case:
 
 def _from_arrays(arrays: Arrays) -> SolutionTable:
     return SolutionTable.from_arrays(arrays, np.float64)
+
+
+# Solved stacks are those of many specimens, each of which weighs some of them.
+@lru_cache(maxsize=64)
+def _rescale(table: SolutionTable, length: float) -> SolutionTable:
+    return table.rescale(length)
+
+
+@lru_cache(maxsize=64)
+def _evaluate(table: SolutionTable, angles_deg: tuple[float, ...]) -> Array:
+    """Displacements of a table at angles, (angles, nx, ny, nz, 3) [m]."""
+    return np.asarray(table.evaluate(angle=np.array(angles_deg))[0])
 
 
 def _cases(

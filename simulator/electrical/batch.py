@@ -170,7 +170,7 @@ class BatchSolver:
         firsts = [margin + k * electrodes for k in range(width)]
         places = [slice(first, first + electrodes) for first in firsts]
         x = np.zeros((len(self.order), columns + 2 * margin), dtype=np.float32)
-        workspaces = _workspaces(self, tolerance, width)
+        workspaces = _workspaces(self, tolerance, width, potentials)
         solved: dict[int, Solution | None] = {}
         active: dict[int, _Projection] = {}
         while True:
@@ -192,7 +192,7 @@ class BatchSolver:
             _advance(active.values())
             for place, scene in list(active.items()):
                 if scene.ended:
-                    solved[scene.number] = scene.solution(potentials)
+                    solved[scene.number] = scene.solution()
                     del active[place]
 
 
@@ -201,19 +201,24 @@ class _Workspace(NamedTuple):
 
     Attributes:
         matrices: condensed element matrices, (elements, functions, functions).
-        vectors, products: vectors of the space, and their products with the matrix, (blocks,
-            unknowns, electrodes) each.
+        block: newest vectors, and their products with the matrix, (2, unknowns, electrodes).
+        vectors: vectors of the space, (blocks, unknowns, electrodes); none unless wanted.
+        products: B, and products of the vectors with the matrix, as rows, (electrodes + vectors,
+            unknowns).
         parts: vectors in each element, and products, (2, elements, functions, electrodes), which
-            all workspaces share.
+            all workspaces share as they do the block.
     """
 
     matrices: Numbers
+    block: Array
     vectors: Array
     products: Array
     parts: Numbers
 
 
-def _workspaces(solver: "BatchSolver", tolerance: Tolerance, count: int) -> list[_Workspace]:
+def _workspaces(
+    solver: "BatchSolver", tolerance: Tolerance, count: int, potentials: bool
+) -> list[_Workspace]:
     """Workspaces of scenes; element matrices are in single precision where that suffices."""
     kernels = compiled_kernels("eitskin.simulator.electrical.kernels")
     kind = np.float32 if kernels and tolerance >= _SINGLE else np.float64
@@ -221,8 +226,11 @@ def _workspaces(solver: "BatchSolver", tolerance: Tolerance, count: int) -> list
     elements, outer = assembly.space.numbers.shape
     parts = np.empty((2, elements, outer, electrodes), kind)
     matrices = np.empty((count, elements, outer, outer), kind)
-    V, AV = np.empty((2, count, _MAX_CORRECTIONS + 1, len(solver.order), electrodes))
-    return [_Workspace(matrices[k], V[k], AV[k], parts) for k in range(count)]
+    unknowns, blocks = len(solver.order), _MAX_CORRECTIONS + 1
+    block = np.empty((2, unknowns, electrodes))
+    vectors = np.empty((count, blocks if potentials else 0, unknowns, electrodes))
+    products = np.empty((count, (1 + blocks) * electrodes, unknowns))
+    return [_Workspace(matrices[k], block, vectors[k], products[k], parts) for k in range(count)]
 
 
 class _Projection:
@@ -253,10 +261,11 @@ class _Projection:
         self._pieces = np.real(contact.matrices)
         near = self._matrices[pattern.lifting]
         B, D, _ = pattern.forms(near, solver.grounded, contact, solver.lifted)
-        self._B, self.D = np.real(B)[solver.order], np.real(D)
-        self._scale = 1.0 / np.abs(self._B).max()
+        self.D = np.real(D)
         electrodes = len(self.D)
-        self._V, self._AV = workspace.vectors, workspace.products
+        load = workspace.products[:electrodes]
+        load[:] = np.real(B)[solver.order].T
+        self._scale = 1.0 / max(load.max(), -load.min())
         self._gram, self._loads = np.zeros((0, 0)), np.zeros((0, electrodes))
         self._impedances: list[Array] = []
         self._changes = [np.inf]
@@ -265,30 +274,27 @@ class _Projection:
 
     def extend(self, more: Numbers) -> None:
         """Add vectors (unknowns, k) to the space, and find the solution in it."""
-        solver, own = self._solver, len(self._gram)
-        count, size = own // more.shape[1], own + more.shape[1]
-        V, AV = self._V[count], self._AV[count]
-        V[:] = more
-        AV[:] = 0.0
-        solver.elements.add_product(self._matrices, V, AV, self._workspace.parts)
+        solver, work, own, count = self._solver, self._workspace, len(self._gram), len(self.D)
+        (V, AV), size = work.block, own + count
+        V[:], AV[:] = more, 0.0
+        solver.elements.add_product(self._matrices, V, AV, work.parts)
         solver.facets.add_product(self._pieces, V, AV)
         AV[solver.ground] += solver.grounded * V[solver.ground]
+        work.products[size : size + count] = AV.T
+        if len(work.vectors):
+            work.vectors[own // count] = V
+        row = V.T @ work.products[: size + count].T
         gram = np.empty((size, size))
         gram[:own, :own] = self._gram
-        column = (self._V[: count + 1].swapaxes(1, 2) @ AV).reshape(size, -1)
-        gram[:, own:], gram[own:] = column, column.T
+        gram[own:], gram[:own, own:] = row[:, count:], row[:, count:size].T
         self._gram = gram
-        self._loads = np.concatenate([self._loads, V.T @ self._B])
+        self._loads = np.concatenate([self._loads, row[:, :count]])
         self._found, self.T = project_galerkin(gram, self._loads, _DEPENDENT[self._kind])
-
-    def _galerkin_solution(self, vectors: Array) -> Array:
-        """Galerkin solution of blocks of vectors, (blocks, unknowns, k)."""
-        parts = self._found.reshape(-1, *self.D.shape)
-        return np.asarray((vectors[: len(parts)] @ parts).sum(axis=0))
 
     def residual(self) -> Array:
         """B - A w, (unknowns, electrodes), over the largest number of B."""
-        residual: Array = (self._B - self._galerkin_solution(self._AV)) * self._scale
+        shares = np.concatenate([np.eye(len(self.D)), -self._found]) * self._scale
+        residual: Array = (shares.T @ self._workspace.products[: len(shares)]).T
         return residual
 
     def advance(self, Z: Array) -> None:
@@ -305,11 +311,14 @@ class _Projection:
         last.append(Z)
         self.ended = self._converged or len(last) > _MAX_CORRECTIONS or not np.isfinite(Z).all()
 
-    def solution(self, potentials: bool) -> Solution | None:
+    def solution(self) -> Solution | None:
         """Last solution; None where the corrections have not converged."""
         if not self._converged:
             return None
-        w = self._galerkin_solution(self._V) if potentials else np.zeros((0, len(self.D)))
+        w, vectors = np.zeros((0, len(self.D))), self._workspace.vectors
+        if len(vectors):
+            parts = self._found.reshape(-1, *self.D.shape)
+            w = (vectors[: len(parts)] @ parts).sum(axis=0)
         return Solution(self._impedances[-1], w, self.D - 0.5 * (self.T + self.T.T))
 
 

@@ -60,6 +60,21 @@ def scatter(parts: Single, numbers: Numbers, one: Array, first: Integer, found: 
             row[k] -= total[k]
 
 
+@kernel("void(f8[:,:,::1], i4[:,::1], f8[:,::1], f8[:,::1])")
+def add_products(matrices: Array, numbers: Numbers, vectors: Array, total: Array) -> None:
+    """Add matrices (elements, m, m) times vectors (unknowns, k) to `total` (unknowns, k).
+
+    Unknowns of each element are in `numbers` (elements, m).
+    """
+    for e in range(len(numbers)):
+        for i in range(numbers.shape[1]):
+            row = total[numbers[e, i]]
+            for j in range(numbers.shape[1]):
+                entry, other = matrices[e, i, j], vectors[numbers[e, j]]
+                for k in range(len(row)):
+                    row[k] += entry * other[k]
+
+
 @kernel("void(f4[:,::1], f4[:,:,::1])")
 def eliminate(entries: Single, found: Single) -> None:
     """Inner functions of element matrices: the product found^T found is what condensation takes.
