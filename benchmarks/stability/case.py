@@ -17,7 +17,7 @@ from eitskin.geometry import ConfigurationError
 Outcome = Literal["ok", "refused", "left out", "wrong"]
 QUANTITIES = ("residual", "invariant", "error")
 
-_PATIENCE = 900.0  # s: what takes longer counts as a hang
+_PATIENCE = 900.0  # s of processor time: what takes longer counts as a hang
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,7 @@ def _outcome(case: Case, values: CaseValues) -> tuple[Outcome, str]:
 
 @contextmanager
 def _alarm(seconds: float) -> Iterator[None]:
-    """Raise TimeoutError in the block after some time, where the system can."""
+    """Raise TimeoutError in the block after some processor time, where the system can."""
     if not hasattr(signal, "setitimer") or threading.current_thread() != threading.main_thread():
         yield
         return
@@ -122,10 +122,10 @@ def _alarm(seconds: float) -> Iterator[None]:
     def ring(*_: Any) -> None:
         raise TimeoutError(f"took longer than {seconds:g} s")
 
-    before = signal.signal(signal.SIGALRM, ring)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    before = signal.signal(signal.SIGPROF, ring)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)

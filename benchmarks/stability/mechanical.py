@@ -314,7 +314,7 @@ def presses(quick: bool) -> Iterator[Case]:
         solve = partial(_press_case, *bodies[name], finest, steps)
         # Layers change volume by mean pressure over bulk modulus, 1e4 mu.
         limits = {"residual_limit": 1e-6, "invariant_limit": 1e-4}
-        yield Case(name, solve, None, "of the load only", **limits)
+        yield Case(name, solve, None, "of the load is carried", **limits)
 
 
 def _press_case(stack: Stack, indenter: Indenter, finest: float, steps: int) -> CaseValues:
