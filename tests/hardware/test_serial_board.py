@@ -212,7 +212,10 @@ def test_each_way_a_port_dies_is_the_same_error(running, error, method, monkeypa
         list(Connection(board, wait=lambda _: None).frames())
 
 
-def test_closing_ends_the_reading_of_another_thread_and_what_is_being_opened():
+def test_closing_closes_the_port_and_ends_what_other_threads_read_or_open():
+    port = Loopback(firmware())
+    ReopenablePort(lambda: port, "serial:x").close()
+    assert port.closed
     failures, first = [], threading.Event()
     board = virtual()
 
