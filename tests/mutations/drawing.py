@@ -26,7 +26,19 @@ FORMULAS = {  # files with formulas, and how many mutations are drawn of them
     ),
     "datasets": (("datasets/generation/*.py", "datasets/recipe/*.py", "datasets/store/*.py"), 40),
     "fit": (("training/adaptation/*.py", "training/twin/*.py", "training/joint/*.py"), 25),
-    "codec": (("hardware/protocol/*.py", "hardware/boards/text*.py"), 15),
+    "estimates": (
+        (
+            "training/pipeline/*.py",
+            "training/method/*.py",
+            "training/reconstruction/*.py",
+            "training/paper/*.py",
+            "training/evaluation/scores.py",
+            "training/evaluation/cramer_rao.py",
+        ),
+        25,
+    ),
+    "codec": (("hardware/protocol/*.py", "hardware/boards/text*.py", "eitskin/protocol.py"), 15),
+    "boards": (("hardware/*.py", "hardware/virtual/*.py", "hardware/diagnosis/*.py"), 20),
 }
 NEGATED = {
     ast.Lt: ast.GtE,

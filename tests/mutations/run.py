@@ -10,6 +10,7 @@ then a test is missing, or the mutation changes nothing, which `equivalent.toml`
 
 import argparse
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -93,10 +94,11 @@ def drawn_mutations(seed: int) -> list[Mutation]:
 
 def _nearest(drawn: Drawn) -> tuple[str, ...]:
     """Test files of the folder that mirrors the statement's, those that name its module first."""
-    folder, module = ROOT / "tests" / Path(drawn.file).parent, Path(drawn.file).stem
+    mirror = re.sub("^eitskin/", "shared/", drawn.file)
+    folder, module = ROOT / "tests" / Path(mirror).parent, Path(mirror).stem
     while not (found := sorted(folder.glob("test_*.py"))):
         folder = folder.parent
-    others = (ROOT / "tests" / Path(drawn.file).parts[0]).rglob("test_*.py")
+    others = (ROOT / "tests" / Path(mirror).parts[0]).rglob("test_*.py")
     named = [path for path in sorted(others) if module in path.read_text(encoding="utf-8")]
     files = sorted(named, key=lambda path: path.parent != folder) + found
     return tuple(dict.fromkeys(str(path.relative_to(ROOT / "tests")) for path in files))
