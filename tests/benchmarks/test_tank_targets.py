@@ -7,6 +7,7 @@ from eitskin.benchmarks.tank_targets import read_targets, score, similarity
 from eitskin.errors import DataError
 
 
+@pytest.mark.slow
 def test_scores_are_one_for_the_truth_and_near_nothing_for_other_regions():
     truth = np.zeros((256, 256), np.int8)
     truth[60:110, 60:110], truth[150:200, 150:200] = -1, 1

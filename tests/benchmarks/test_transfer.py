@@ -145,6 +145,7 @@ def test_wrong_frames_below_the_noise_count_apart():
     assert found.below == [True, False]
 
 
+@pytest.mark.slow
 def test_streams_show_what_they_say(tmp_path, monkeypatch):
     """One sensor: frames as many as truths, an opening that is flat, and solved changes."""
     names = ("touch, held and released", "one contact", "step of the gain", "leak of 100 kohm")

@@ -18,6 +18,8 @@ from eitskin.training.evaluation import adaptation_curve
 from eitskin.training.evaluation.adaptation_curve import press_curve
 from eitskin.training.method.interface import TwinTrial
 
+pytestmark = pytest.mark.slow
+
 GAIN = 1.1  # by which the sensor of the test answers bends more than the usual one
 
 
@@ -63,7 +65,6 @@ def few_trees(monkeypatch):
     monkeypatch.setattr(adaptation_curve, "TREES", 10)
 
 
-@pytest.mark.slow
 def test_known_angles_of_a_recording_adapt_a_pipeline_and_errors_fall(bends, pipeline, tmp_path):
     save_dataset(bends, tmp_path / "bends")
     mine = tmp_path / "mine.eitmodel"
@@ -91,7 +92,6 @@ def test_blocks_of_time_are_tested_with_frames_of_the_others(monkeypatch):
     assert all(each.place_mm > 70.0 and each.found == 1.0 for each in points)
 
 
-@pytest.mark.slow
 def test_touch_positions_are_learned_where_nothing_was_before(monkeypatch, tmp_path):
     """The pipeline that stands under a name is replaced only with --replace."""
     monkeypatch.setattr(adaptation_curve, "learn_places", nearest)

@@ -29,6 +29,8 @@ from eitskin.training.evaluation.report import table_rows
 
 from shards_here import make_shards
 
+pytestmark = pytest.mark.slow
+
 TIMES = re.compile("seconds|date|latency|latencies|_ms$")
 
 
@@ -113,7 +115,6 @@ def numbers(folder):
     return untimed(json.loads((folder / "report.json").read_text()))
 
 
-@pytest.mark.slow
 def test_the_report_is_whole_in_itself_and_shows_the_numbers_of_the_document(finished):
     text = (finished / "report.html").read_text()
     addresses = re.findall(r'\b(?:src|href|srcset)="([^"]*)"', text)
@@ -141,7 +142,6 @@ def test_the_report_is_whole_in_itself_and_shows_the_numbers_of_the_document(fin
             assert any([row[0], row[column]] == shown for row in rows if row[3:])
 
 
-@pytest.mark.slow
 def test_a_demo_that_was_interrupted_goes_on_to_the_same_report(finished, tmp_path, monkeypatch):
     generate = import_module("eitskin.datasets.generation.generate")  # a function hides the module
     monkeypatch.setattr(generate, "prepare", lambda *_, **__: None)
@@ -155,7 +155,6 @@ def test_a_demo_that_was_interrupted_goes_on_to_the_same_report(finished, tmp_pa
     assert not list(tmp_path.rglob(".*"))
 
 
-@pytest.mark.slow
 def test_text_of_files_is_escaped(finished, tmp_path):
     """And a pipeline that was removed, or trained otherwise, is trained again."""
     folder = shutil.copytree(finished, tmp_path / "<script>")
@@ -183,7 +182,6 @@ def test_a_demo_that_was_stopped_names_the_command_that_goes_on(
     assert f"eitskin demo --out '{tmp_path}/a b' --workers 5 --seed 3\n" in capsys.readouterr().err
 
 
-@pytest.mark.slow
 def test_the_film_has_every_moment_and_begins_with_the_fullest():
     places = [[40.0, 20.0], [110.0, 40.0]]
     rows = [

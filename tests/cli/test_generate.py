@@ -21,6 +21,8 @@ from eitskin.errors import DataError
 from shards_here import in_this_process
 from small_dataset import assert_same, make
 
+pytestmark = pytest.mark.slow
+
 RECIPE = """
 name = "cheap"
 seed = 4
@@ -46,7 +48,6 @@ def recipe(tmp_path):
     return path
 
 
-@pytest.mark.slow
 def test_a_recipe_by_its_path_is_made_and_a_dry_run_writes_nothing(recipe, tmp_path, monkeypatch):
     said = run("generate", recipe, "--out", tmp_path / "set", "--dry-run").stdout
     assert "24 frames in 3 shards, about" in said
@@ -70,7 +71,6 @@ def test_a_recipe_by_its_path_is_made_and_a_dry_run_writes_nothing(recipe, tmp_p
     assert (tmp_path / "one" / "shard-000002.h5").read_bytes() == shard_bytes(made, 16)
 
 
-@pytest.mark.slow
 def test_interrupted_it_says_how_to_go_on(recipe, tmp_path):
     """As Ctrl-C twice in a terminal: exit code 130, and a line to copy that finishes the set."""
     recipe.write_text(RECIPE.format(count=20000))

@@ -70,6 +70,7 @@ def test_the_command_shows_frames_as_json_and_lines_and_says_what_is_not_estimat
     assert "touch map" not in shown
 
 
+@pytest.mark.slow
 def test_a_virtual_board_imitates_the_pipelines_sensor_unless_it_is_described():
     outline = Rectangle(0.06, 0.04)
     ring = uniform(outline, 5, 0.004)
@@ -191,6 +192,7 @@ def test_the_touch_map_is_drawn_with_y_up():
     assert sum(line.count(" ") for line in lines) == 80 * 16 - 3
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_a_whole_file_beside_a_whole_recording(run, tmp_path, monkeypatch):
     monkeypatch.setattr("time.time_ns", lambda: 5_000_000_000)
     path, folder = tmp_path / "run.mcap", tmp_path / "r"

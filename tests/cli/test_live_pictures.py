@@ -34,6 +34,7 @@ def frames(flat, session=1, noise=1e-5):
     return [Frame(each, PROTOCOL, session=session) for each in drawn]
 
 
+@pytest.mark.slow
 def test_pictures_begin_after_the_reference_of_each_session_and_are_calm_untouched(maker, flat):
     """The ends of the colour scale lie far above the noise of the pictures."""
     pictures = LivePictures(maker)

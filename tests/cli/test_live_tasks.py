@@ -84,6 +84,7 @@ def running(tmp_path, pipeline):
         yield made
 
 
+@pytest.mark.slow
 def test_the_loop_tares_with_enough_frames_and_the_check_says_what_the_command_would(
     running, pipeline
 ):
@@ -118,6 +119,7 @@ def test_one_task_at_a_time_which_can_be_cancelled(running):
     assert running.finish()[0] == "done"
 
 
+@pytest.mark.slow
 def test_frames_are_recorded_between_two_commands_and_replayed(running, tmp_path, monkeypatch):
     monkeypatch.setattr(training, "open_pipeline", lambda *_: running.session.pipeline)
     running.session.pipeline.layout = types.SimpleNamespace(known_design=SensorDesign.reference())

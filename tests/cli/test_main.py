@@ -25,6 +25,7 @@ def eitskin(*arguments, **environment):
     ).stdout
 
 
+@pytest.mark.slow
 def test_version():
     assert eitskin("--version") == f"eitskin {version('eitskin')}\n"
 

@@ -16,6 +16,8 @@ from eitskin.simulator import ForwardModel, Protocol
 
 import small_dataset
 
+pytestmark = pytest.mark.slow
+
 FEW = ("--pixels", "200", "--resolution", "coarse")
 
 
@@ -69,7 +71,6 @@ def test_boards_are_pictured_after_a_reference_that_is_chosen(dataset):
     assert printed_json(*words, "flat") != printed_json(*words, "untouched")
 
 
-@pytest.mark.slow
 def test_order_is_tested_impossible_changes_are_cut_and_noise_is_named(tmp_path):
     """Frames in rotated order, named in given order; then one that fits no sensor; then noise."""
     design = SensorDesign(Disc(0.05), 0.005, uniform(Disc(0.05), 16))
@@ -95,7 +96,6 @@ def test_order_is_tested_impossible_changes_are_cut_and_noise_is_named(tmp_path)
     assert one["largest_is_noise"]
 
 
-@pytest.mark.slow
 def test_regions_of_a_tank_against_a_recording_of_plain_water(tmp_path):
     """Files that say their patterns, with lost channels and some of the reference near zero."""
     design = SensorDesign(Disc(0.05), 0.005, uniform(Disc(0.05), 16))

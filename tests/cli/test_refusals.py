@@ -141,6 +141,7 @@ def folder(tmp_path_factory):
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("call", "error", "remedy"), REFUSALS)
 def test_a_command_refuses_in_words_and_leaves_nothing(folder, monkeypatch, call, error, remedy):
     monkeypatch.chdir(folder)

@@ -40,6 +40,7 @@ def written(path, text):
     return path
 
 
+@pytest.mark.slow
 def test_an_instrument_measures_and_its_noise_may_be_another(tmp_path) -> None:
     flat = written(tmp_path / "flat.toml", "")
     board = ("--instrument", "ad5940")

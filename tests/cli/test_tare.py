@@ -14,6 +14,8 @@ from eitskin.hardware.virtual import virtual_board as virtual
 from eitskin.simulator import FourTerminalMeter, Frame, Instrument, Protocol, Scene, Simulator
 from eitskin.training import Pipeline, StoredReference, Zero
 
+pytestmark = pytest.mark.slow
+
 FLAT = "virtual:?speed=max&resolution=coarse"
 kept_simulator = lru_cache(Simulator)  # of the sensor that all of the boards have
 
@@ -54,7 +56,6 @@ def test_references_know_board_zero_and_dataset(reference, tmp_path):
     np.testing.assert_allclose(StoredReference.read(path).impedance, flat, rtol=1e-6)
 
 
-@pytest.mark.slow
 def test_a_bent_start_is_no_flat_one_and_taken_by_its_reference(bent, reference, tmp_path):
     path = tmp_path / "mounted.json"
     with pytest.raises(DataError, match="--mounted"):
@@ -79,7 +80,6 @@ def test_a_bent_start_is_no_flat_one_and_taken_by_its_reference(bent, reference,
     assert known["bend_angle_deg"] == pytest.approx(30.0, abs=4.0)
 
 
-@pytest.mark.slow
 def test_calibration_with_a_reference_needs_no_flat_sensor(reference, tmp_path):
     angles = [-20, 15, 30, 50]
     script = tmp_path / "bends.toml"
@@ -118,7 +118,6 @@ def fit(folder, *arguments):
     return run("instrument", "fit", folder / "sensor.toml", *arguments, code=0)
 
 
-@pytest.mark.slow
 def test_a_rig_is_fitted_and_simulated_as_it_reads(rig, tmp_path):
     folder, flat = rig
     out = tmp_path / "rig.toml"

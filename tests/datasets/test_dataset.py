@@ -142,6 +142,7 @@ def folder(tmp_path, data, monkeypatch):
     return tmp_path / "set"
 
 
+@pytest.mark.slow
 def test_use_reads_labels_together_and_other_columns_when_they_are_asked_for(folder, data):
     passes = []
     found = open_dataset(folder, lambda *counts: passes.append(counts))
@@ -176,6 +177,7 @@ def test_all_methods_answer_as_those_of_a_dataset_in_memory(folder, data):
         found.impedances  # noqa: B018
 
 
+@pytest.mark.slow
 def test_damage_is_found_when_the_shard_is_read(folder):
     whole = (folder / "shard-000003.h5").read_bytes()
     found = open_dataset(folder)
@@ -194,6 +196,7 @@ def test_damage_is_found_when_the_shard_is_read(folder):
         open_dataset(folder)
 
 
+@pytest.mark.slow
 def test_columns_beyond_the_memory_are_refused(folder, monkeypatch):
     found = open_dataset(folder)
     monkeypatch.setattr(folders.os, "sysconf", lambda _: 90)  # 8,100 bytes

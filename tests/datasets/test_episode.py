@@ -102,6 +102,7 @@ def test_presses_creep_while_held_linger_afterwards_and_are_forgotten():
     assert elastic_force(REFERENCE, 1.0, 2.0, forgotten - 4.0) > 1e-3
 
 
+@pytest.mark.slow
 def test_random_episodes_keep_their_ranges():
     kind = RandomEpisodes(
         1,
@@ -168,6 +169,7 @@ def test_frames_of_an_episode_are_labelled_and_follow_each_other():
     assert sample(asked, 40) == drawn[40]
 
 
+@pytest.mark.slow
 def test_skew_and_drift_are_exact_where_signals_are_linear_in_time(monkeypatch):
     for module in (simulator, shard_simulation):
         monkeypatch.setattr(module, "measure_together", linear_in_the_angle)

@@ -29,6 +29,8 @@ from eitskin.errors import ConfigurationError, DataError
 from on_demand import OnDemand
 from small_dataset import make
 
+pytestmark = pytest.mark.slow
+
 pd, pq = OnDemand("pandas"), OnDemand("pyarrow.parquet")
 
 FRAMES, SPECIMENS = 90, 30
@@ -68,12 +70,7 @@ def huggingface(saved, tmp_path_factory):
     return out
 
 
-def in_order(frames):
-    return frames.sort_values("number").reset_index(drop=True)
-
-
 class TestParquet:
-    @pytest.mark.slow
     def test_pandas_reads_the_same_numbers(self, saved, parquet):
         data, frames = open_dataset(saved), pd.read_parquet(parquet / "data")
         for name, part in itertools.product(FLOATS, ("real", "imag")):
@@ -115,7 +112,8 @@ class TestHuggingFace:
     def test_its_files_hold_all_frames_once(self, parquet, huggingface):
         parts = [pd.read_parquet(path) for path in (huggingface / "data").iterdir()]
         whole = pd.read_parquet(parquet / "data").drop(columns="split")
-        both = [in_order(each).to_json() for each in (pd.concat(parts), whole)]
+        ordered = (each.sort_values("number") for each in (pd.concat(parts), whole))
+        both = [each.reset_index(drop=True).to_json() for each in ordered]
         assert both[0] == both[1]
 
     def test_its_card_says_what_the_files_hold(self, huggingface):
@@ -254,7 +252,6 @@ def test_specimens_are_those_of_the_set_in_every_shard(tmp_path):
             assert np.array_equal(item["reference"].numpy(), made.reference[number])
 
 
-@pytest.mark.slow
 def test_order_follows_from_seed_and_epoch(folder):
     def order(seed, epoch):
         shards = ShuffledShards(folder, names=("time",), seed=seed)

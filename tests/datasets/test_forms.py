@@ -20,7 +20,7 @@ from eitskin.datasets.recordings.protocols import in_order
 from eitskin.errors import DataError
 from eitskin.simulator import Protocol
 
-pytestmark = pytest.mark.usefixtures("reads_here")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("reads_here")]
 N = 8
 RNG = np.random.default_rng(5)
 ROOTS = RNG.normal(size=(3, N, N))
@@ -201,10 +201,6 @@ def long_rows(frames):
     return ["frame,value", *lines]
 
 
-def by_drive(frames):
-    return names("v", N - 3), *rows(frames.reshape(-1, N - 3))
-
-
 COMPLEX = FRAMES * np.exp(0.3j)
 NAMED = [f"E{a + 1}_E{b + 1}_E{c + 1}_E{d + 1}" for a, b, c, d in ADJACENT.table]
 GERMAN = [line.replace(".", ",") for line in numbered(separator=";")]
@@ -268,7 +264,8 @@ FORMS = [
          *(",".join(f"{z.real:.9g},{z.imag:.9g}" for z in f) for f in COMPLEX)]), P8, COMPLEX),
     Form("complex as MATLAB prints it", "a.csv", text([PLAIN[0],
          *(",".join(f"{z.real:.9g}{z.imag:+.9g}i" for z in f) for f in COMPLEX)]), P8, COMPLEX),
-    Form("a drive pair's readings a row", "a.csv", text(by_drive(FRAMES)), P8),
+    Form("a drive pair's readings a row", "a.csv", text([names("v", N - 3),
+         *rows(FRAMES.reshape(-1, N - 3))]), P8),
     Form("a reading a row", "a.csv", text(long_rows(FRAMES)), P8 + " --values value"),
     Form("JSON, an object a line", "a.jsonl", text([json.dumps({"t": k, "v": f.tolist()})
          for k, f in enumerate(FRAMES)]), P8),

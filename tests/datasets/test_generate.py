@@ -38,6 +38,8 @@ from killed_writers import killed_once, was_killed
 from on_demand import OnDemand
 from shards_here import contents, in_this_process, made_here
 
+pytestmark = pytest.mark.slow
+
 RECIPE = Recipe(
     "small",
     seed=11,
@@ -92,7 +94,6 @@ def test_touched_frames_and_references_are_means_of_as_many_frames_as_the_recipe
         replace(averaged, episodes=(RandomEpisodes(count=1, frames=4),))
 
 
-@pytest.mark.slow
 def test_frames_are_what_the_recipe_says_and_the_simulator_measures(whole):
     """With white noise of the instrument's size in frames and references, each by itself."""
     data = open_dataset(whole)
@@ -136,7 +137,6 @@ def test_frames_are_what_the_recipe_says_and_the_simulator_measures(whole):
     assert abs(together[0, 1]) < 0.2
 
 
-@pytest.mark.slow
 def test_damaged_and_lost_shards_are_made_again(whole, tmp_path, monkeypatch):
     in_this_process(monkeypatch)
     folder = tmp_path / "damaged"
@@ -168,7 +168,6 @@ def test_damaged_and_lost_shards_are_made_again(whole, tmp_path, monkeypatch):
     ]  # HDF5 sees sound files alone
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "value"),
     [("seed", -5), ("frequency", np.inf), ("quantity", "magnitude"), ("engine", np.inf)],
@@ -187,7 +186,6 @@ def test_a_shard_of_other_attributes_is_made_again(whole, tmp_path, monkeypatch,
     assert contents(folder) == contents(whole)
 
 
-@pytest.mark.slow
 def test_a_dataset_begun_by_another_simulation_is_opened_but_not_continued(
     whole, tmp_path, monkeypatch
 ):
@@ -242,7 +240,6 @@ generate(Recipe.from_toml(sys.argv[1]), sys.argv[2], workers=2)
 """
 
 
-@pytest.mark.slow
 def test_a_script_without_a_main_guard_is_told_to_have_one_worker(tmp_path):
     recipe, script = tmp_path / "recipe.toml", tmp_path / "script.py"
     recipe.write_text(RECIPE.to_toml())
@@ -267,7 +264,6 @@ LEAST_BYTES = 120 * 28 * 4
 Usage = namedtuple("Usage", "total used free")
 
 
-@pytest.mark.slow
 def test_size_is_that_of_the_files(tmp_path):
     found = estimate_cost(CHEAP, tmp_path / "set", workers=1)
     assert (found.frames, found.shards) == (120, 3)
@@ -294,7 +290,6 @@ def test_a_disk_without_room_is_refused_before_anything_is_made(tmp_path, monkey
         generate(CHEAP, tmp_path / "set")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO], ids=["full", "broken"])
 @pytest.mark.parametrize("first_refused", [2, 5])
 def test_a_disk_that_fails_is_a_clean_error(whole, tmp_path, monkeypatch, code, first_refused):
@@ -354,7 +349,6 @@ def local_cluster():
         yield made
 
 
-@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("cluster", [False, True], ids=["processes", "cluster"])
 def test_two_workers_of_which_one_is_killed_while_writing_make_the_same_bytes(
@@ -370,7 +364,6 @@ def test_two_workers_of_which_one_is_killed_while_writing_make_the_same_bytes(
     assert contents(folder) == flat_files
 
 
-@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_what_workers_raise_reaches_the_caller(local_cluster, tmp_path, monkeypatch):
     def move(done, _total):

@@ -304,6 +304,7 @@ def all_samples(recipe):
     return [sample(recipe, index) for index in range(recipe.frames)]
 
 
+@pytest.mark.slow
 def test_frames_hold_what_their_group_says_by_seed_and_number_alone():
     outline = MIXED.sensor.outline
     for drawn in (sample(MIXED, index) for index in range(MIXED.frames)):

@@ -22,6 +22,7 @@ def csv_file(path, header, rows):
     path.write_text("\n".join(",".join(map(str, line)) for line in (header, *rows)) + "\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("package", "ending"), [("openpyxl", "xlsx"), ("pyarrow", "parquet")])
 def test_a_missing_package_is_named_with_its_extra(tmp_path, monkeypatch, package, ending):
     monkeypatch.setitem(__import__("sys").modules, package, None)
@@ -273,6 +274,7 @@ def test_the_order_that_fits_the_laws_is_named(tmp_path, order, protocol, size):
         assert read_recording(path, names, protocol, form=form).protocol == expected
 
 
+@pytest.mark.slow
 def test_a_design_says_the_order_of_magnitudes_that_no_law_relates(tmp_path):
     text = "thickness = 0.005\noutline = { radius = 0.05 }\n[electrodes]\ncount = 16\n"
     (tmp_path / "round.toml").write_text(text)

@@ -27,12 +27,6 @@ from eitskin.simulator import Protocol
 DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[3] / "shared" / "data"))
 
 
-def write(tmp_path, name, text):
-    path = tmp_path / name
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
 def real(name):
     path = DATA / name
     if not path.is_file():
@@ -49,8 +43,10 @@ touch, , 0.05, 0.02, 9, 0.5, 4, 5, 6, 11, 21, 31
 
 
 def test_csv_with_everything(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text(CSV, encoding="utf-8")
     data = read_recording(
-        write(tmp_path, "run.csv", CSV),
+        path,
         RecordingNames(touch_reference="r"),
         Protocol.pairwise(3),
         frequency=10e3,
@@ -91,6 +87,7 @@ COMMANDS = re.findall(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.split()[2])
 def test_documented_commands_import_the_real_recordings(command, tmp_path, monkeypatch):
     shutil.copytree(GUIDES / "recordings", tmp_path, dirs_exist_ok=True)

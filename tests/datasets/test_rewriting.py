@@ -17,6 +17,8 @@ from eitskin.simulator import Protocol
 from shards_here import contents
 from small_dataset import assert_same, make
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def simulated(tmp_path):
@@ -105,7 +107,6 @@ def data():
     return make(47, specimens=5, specimen=np.arange(47) // 10)
 
 
-@pytest.mark.slow
 def test_a_set_is_cut_anew_with_the_specimens_of_each_shard(tmp_path, data):
     cut, counts, seen = 20, [20, 20, 7], []
     save_dataset(data, tmp_path / "set", frames_per_shard=12)
@@ -119,7 +120,6 @@ def test_a_set_is_cut_anew_with_the_specimens_of_each_shard(tmp_path, data):
     assert last.specimen_number.tolist() == sorted({*(data.specimen[-counts[-1] :].tolist())})
 
 
-@pytest.mark.slow
 def test_bytes_do_not_depend_on_the_workers(tmp_path, data, monkeypatch):
     monkeypatch.setattr(worker_processes, "_SMALL", 0)
     save_dataset(data, tmp_path / "set", frames_per_shard=5)

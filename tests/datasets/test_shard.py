@@ -250,6 +250,7 @@ def test_unfinished_and_absent_datasets_say_what_to_do(tmp_path, shard):
 # Lone shards: damage anywhere, files that harm HDF5, and files without a seal
 
 
+@pytest.mark.slow
 def test_damage_anywhere_in_a_lone_shard_is_noticed_before_hdf5_sees_it(shard, monkeypatch):
     monkeypatch.setattr(shard_reader.h5py.h5f, "open_file_image", None)
     whole, rng = shard.read_bytes(), np.random.default_rng(0)
@@ -280,6 +281,7 @@ def test_a_shard_that_harms_hdf5_harms_only_a_child(shard, monkeypatch):
         read_shard(shard)
 
 
+@pytest.mark.slow
 def test_shards_from_elsewhere_are_read_in_a_child_once(tmp_path, monkeypatch):
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path / "mine"))
     tried = []
@@ -352,6 +354,7 @@ def problems(folder):
     return {each.file: each.problem for each in verify(folder).damage}
 
 
+@pytest.mark.slow
 def test_a_sound_set_is_sound_and_all_damage_is_listed(folder, tmp_path):
     seen = []
     verdict = verify(folder, lambda *counts: seen.append(counts))
@@ -399,6 +402,7 @@ def rewritten(folder, number, n=10, **changes):
     (folder / "manifest.json").write_text(json.dumps(manifest))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

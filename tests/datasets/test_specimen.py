@@ -234,12 +234,6 @@ MANY = Recipe(
 MOUNTS = Mounts(12, (0.025, 0.060), (0.004, 0.014), (0.5, 2.0), ("both", "bottom"))
 
 
-def mounted(mounts=MOUNTS, specimens=60, **changes) -> Recipe:
-    scenes = (SceneGroup("bend", count=specimens, angle_deg=(-20.0, 50.0)),)
-    made = Specimens(specimens, conductivity=0.1)
-    return Recipe("mounts", scenes=scenes, specimens=made, mounts=mounts, **changes)
-
-
 def test_the_mounts_fill_their_ranges_evenly():
     many = dataclasses.replace(MOUNTS, count=64)
     clamps = [many.clamp(number) for number in range(64)]
@@ -261,8 +255,8 @@ def test_the_mounts_fill_their_ranges_evenly():
 
 @pytest.mark.slow
 def test_frames_say_the_clamp_of_their_specimen():
-    flat = (SceneGroup("idle", count=12),)
-    asked = dataclasses.replace(mounted(specimens=12), scenes=flat, resolution="fast")
+    flat, made = (SceneGroup("idle", count=12),), Specimens(12, conductivity=0.1)
+    asked = Recipe("mounts", scenes=flat, specimens=made, mounts=MOUNTS, resolution="fast")
     data = simulate_frames(asked, range(12))
     made = [specimen(asked, number) for number in data.specimen_number[data.specimen].tolist()]
     ratios = [
@@ -277,6 +271,7 @@ def test_frames_say_the_clamp_of_their_specimen():
     assert np.array_equal(data.clamp_stiffness, np.float32(ratios))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("changes", "faces"), [({"support": Plates(0.030)}, 1), ({}, np.nan)])
 def test_plates_under_a_clamped_sensor_hold_its_lower_face_and_hinges_none(changes, faces):
     """Sensors on plates are clamped here, others hinged."""

@@ -39,16 +39,6 @@ def angles(points, triangles):
     return np.degrees(np.arccos((to_next * to_last).sum(axis=2) / lengths))
 
 
-def areas(points, triangles):
-    a, b, c = np.moveaxis(points[triangles], 1, 0)
-    return 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
-
-
-def polygon_area(vertices):
-    x, y = vertices.T
-    return 0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1))
-
-
 def rim_of(triangles):
     """Edges of one triangle only; inner edges are shared by two where no points hang."""
     sides = np.sort(np.stack([triangles, np.roll(triangles, 1, axis=1)], axis=-1), axis=-1)
@@ -56,13 +46,17 @@ def rim_of(triangles):
     return sides[counts == 1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outline", [SLAB, BENT, NOTCHED, SPLINTER])
 @pytest.mark.parametrize("finest", [1e-3, 1e-5])
 def test_triangles_fill_the_outline_no_larger_than_wanted(outline, finest):
     points, triangles, size = sized(outline, [0.052, 0.057, 0.06], finest)
-    covered = areas(points, triangles)
+    a, b, c = np.moveaxis(points[triangles], 1, 0)
+    covered = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
     assert covered.min() > 0
-    assert covered.sum() == pytest.approx(polygon_area(outline.vertices), rel=1e-12)
+    x, y = outline.vertices.T
+    area = 0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1))
+    assert covered.sum() == pytest.approx(area, rel=1e-12)
     corners = points[triangles]
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
     assert (edges.max(axis=1) <= size(corners.mean(axis=1)) * (1 + 1e-8)).all()
@@ -72,12 +66,14 @@ def test_triangles_fill_the_outline_no_larger_than_wanted(outline, finest):
     assert length == pytest.approx(outline.perimeter, rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outline", [SLAB, BENT, NOTCHED])
 def test_angles_stay_large_where_corners_are(outline):
     points, triangles, _ = sized(outline, [0.052, 0.057, 0.057001], 1e-5)
     assert angles(points, triangles).min() > 28
 
 
+@pytest.mark.slow
 def test_refinement_is_cheap_discs_end_on_circles_and_splinters_keep_corners():
     counts = [len(sized(SLAB, [0.052, 0.057], finest)[0]) for finest in (1e-3, 1e-4, 1e-5)]
     # Each tenth of the finest size adds a few rings of triangles.

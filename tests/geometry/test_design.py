@@ -147,6 +147,7 @@ def designs(draw):
     )
 
 
+@pytest.mark.slow
 @settings(max_examples=40, derandomize=True, database=None)
 @given(designs())
 def test_every_design_is_the_same_after_writing_and_reading(design) -> None:
@@ -199,6 +200,7 @@ def test_places_are_unit_speed_and_found_again_even_if_rounded(outline):
     assert outline.rim_points(s + 2 * outline.perimeter) == pytest.approx(places, abs=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outline", OUTLINES)
 @pytest.mark.parametrize("margin", [0.004, -0.004])
 def test_margin_is_the_distance_from_the_rim_and_the_inside_has_greens_area(outline, margin):

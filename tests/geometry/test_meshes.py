@@ -19,11 +19,12 @@ from eitskin.geometry.meshing.tetrahedra import tetrahedral_mesh
 from cut_blocks import covered
 from on_demand import OnDemand
 
+pytestmark = pytest.mark.slow
+
 REFERENCE = SensorDesign.reference()
 FINE, COARSE = Grading(1e-3, 4e-3, 0.5, layers=2), Grading(3e-3, 12e-3, 0.7)
 SIZE = np.array([0.15, 0.06, 0.005])
 BENT = Polygon(((0, 0), (0.1, 0), (0.1, 0.03), (0.03, 0.03), (0.03, 0.1), (0, 0.1)))
-TETRAHEDRA = pytest.param("tetrahedra", marks=pytest.mark.slow)
 MESHERS = {
     "hexahedra": (structured_mesh, FINE),
     "prisms": (triangulated_mesh, FINE),
@@ -31,7 +32,7 @@ MESHERS = {
 }
 
 
-@pytest.fixture(scope="module", params=["hexahedra", "prisms", TETRAHEDRA])
+@pytest.fixture(scope="module", params=["hexahedra", "prisms", "tetrahedra"])
 def slab(request):
     """The reference sensor, with its kind of cells and their sizes."""
     if request.param == "tetrahedra":
@@ -116,7 +117,6 @@ ELECTRODES = (
 )
 
 
-@pytest.mark.slow
 def test_surfaces_from_files(tmp_path, monkeypatch):
     trimesh = OnDemand("trimesh")
     box = trimesh.creation.box((0.05, 0.04, 0.01))
@@ -133,7 +133,7 @@ def test_surfaces_from_files(tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["box.stl"]
 
 
-@pytest.mark.parametrize("kind", ["prisms", TETRAHEDRA])
+@pytest.mark.parametrize("kind", ["prisms", "tetrahedra"])
 def test_rims_of_discs_are_on_the_circle_and_contacts_have_their_true_area(kind):
     if kind == "tetrahedra":
         OnDemand("pytetwild")

@@ -95,6 +95,7 @@ def on_ball(ball, *pads):
     return SensorDesign(ball, 0.1, pads, encapsulated_thickness=0.1)
 
 
+@pytest.mark.slow
 def test_pads_on_a_surface_cover_what_lies_under_them_along_x_and_apart(ball):
     """A disc of radius a over a sphere of radius R covers a cap of 2 pi R (R - sqrt(R2 - a2))."""
     R, a = 0.05, 0.02

@@ -252,6 +252,7 @@ def test_the_extra_is_named_where_pytetwild_is_missing(monkeypatch) -> None:
         tetrahedral_mesh(REFERENCE, Grading(3e-3, 12e-3, 0.7))
 
 
+@pytest.mark.slow
 def test_the_last_possible_angle_is_possible() -> None:
     with pytest.raises(ConfigurationError, match="last possible angle") as error:
         HINGE.flexure(REFERENCE, Bend(300.0))

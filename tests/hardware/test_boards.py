@@ -84,6 +84,7 @@ def board(request, recording, monkeypatch):
 # ---- every board ----
 
 
+@pytest.mark.slow
 def test_frames_come_in_order_also_after_calibrating_and_connecting_again(board):
     frames = take(board, 10)
     assert board.protocol == PROTOCOL

@@ -128,6 +128,7 @@ def test_a_reboot_is_a_new_session_whose_numbers_may_wrap(text, first):
     assert (board.lost, board.counts.dropped) == (0, {})
 
 
+@pytest.mark.slow
 def test_a_port_in_use_is_refused_until_free_and_taken_when_its_host_lets_go():
     with pytest.raises(DeviceError, match="another program"):
         virtual(faults="port_in_use")

@@ -114,9 +114,6 @@ def test_lines_of_the_page_move_something_and_closing_ends_every_thread(monkeypa
     names["arm"] = Arm()
     exec(lines.replace('"serial:"', '"virtual:?speed=max"'), names)  # noqa: S102
     assert moved == [(0.05, 0.02)] * 3
-    monkeypatch.setattr(
-        "eitskin.hardware.virtual.virtual_board.Simulator", lambda *_, **__: FakeSimulator()
-    )
     before, seen = threading.active_count(), threading.Event()
     readings = LiveReadings(open_board("virtual:?speed=max"), FakePipeline())
     readings.call(lambda _: seen.set())
@@ -192,6 +189,7 @@ def timed(number, **changes):
     return Frame(np.full(28, 600.0), PROTOCOL, **known)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drift", [0.0, -5e-5, 5e-5])
 def test_begin_is_known_but_for_the_shortest_time_on_the_line_for_hours(drift):
     """Also where the two clocks drift apart, by 0.12 s in 40 minutes."""
@@ -249,6 +247,7 @@ def test_a_recording_replays_to_identical_lines(tmp_path):
     assert {line["state"] for line in live} == {"idle", "bend", "touch"}
 
 
+@pytest.mark.slow
 def test_one_value_of_the_wrong_sign_is_left_out_and_many_are_no_sensor_at_rest(pipeline):
     layout = pipeline.layout
     noisy = layout.reference * (1 + 2e-4 * np.random.default_rng(0).standard_normal(28))

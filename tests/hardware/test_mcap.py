@@ -99,6 +99,7 @@ def test_frames_come_back_to_the_last_bit(tmp_path) -> None:
     assert about[0]["frequency_Hz"] == data.frequency
 
 
+@pytest.mark.slow
 def test_estimates_come_back_to_the_last_bit(tmp_path) -> None:
     estimate = an_estimate(problems=("channel 0-1 is left out",))
     path = tmp_path / "run.mcap"
@@ -231,6 +232,7 @@ def recording(pipeline, tmp_path):
     return data
 
 
+@pytest.mark.slow
 def test_the_command_writes_what_the_pipeline_says(recording, pipeline, tmp_path) -> None:
     out = tmp_path / "run.mcap"
     words = (tmp_path / "recording", "--out", out, "--model", "reference.eitmodel")

@@ -57,6 +57,7 @@ LARGEST_INFO = replace(LARGE_INFO, n_measurements=MAX_MEASUREMENTS)
 VERSION_2 = [LARGE_INFO, LARGEST_INFO, GetTable(300), TablePart(928, 5, ((0, 1, 2, 3),))]
 
 
+@pytest.mark.slow
 @given(st.lists(packets, max_size=5), st.lists(st.integers(1, 700), min_size=1))
 def test_packets_survive_however_the_stream_is_chopped(sent, pieces):
     stream = b"".join(encode(packet) for packet in sent)
@@ -213,6 +214,7 @@ def test_frames_of_any_size_survive_the_wire(n):
     assert dropped == 0
 
 
+@pytest.mark.slow
 @given(st.randoms(use_true_random=False))
 def test_damaged_streams_of_parts_give_only_frames_that_were_sent(rng):
     packets = stream(range(8))

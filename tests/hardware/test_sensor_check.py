@@ -63,11 +63,6 @@ def found(result):
     return [(each.what, each.electrodes) for each in result.findings]
 
 
-def exchanged(values, one, other):
-    turned = {one: other, other: one}
-    return values[[PAIRS.index(tuple(sorted(turned.get(e, e) for e in pair))) for pair in PAIRS]]
-
-
 # ---- healthy sensors ----
 
 
@@ -116,6 +111,7 @@ FAULTS = {  # of the virtual board: at how many places, and the one finding at e
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FAULTS)
 def test_each_fault_is_named_at_each_place_and_nothing_else_is(name):
     places, finding = FAULTS[name]
@@ -139,13 +135,15 @@ def test_a_bad_contact_is_named(ohm):
         assert_one(check(flat(1) + ohm * at(e), seed=e), FindingKind.BAD_CONTACT, (e,), None)
 
 
+@pytest.mark.slow
 def test_bad_channels_and_several_faults_are_named_together():
     for k in range(0, 28, 3):
         noisy = flat(1) * (1.0 + 0.01 * NOISE * (CHANNELS == k))
         assert_one(check(noisy, seed=k), FindingKind.NOISY, (), (k,))
         off = flat(1) * (1.0 + 0.1 * (CHANNELS == k))
         assert_one(check(off, seed=k), FindingKind.MISFIT, (), (k,))
-    ill = exchanged(flat(3), 0, 3) + 300.0 * at(5)
+    turned = [tuple(sorted({0: 3, 3: 0}.get(e, e) for e in pair)) for pair in PAIRS]
+    ill = flat(3)[[PAIRS.index(pair) for pair in turned]] + 300.0 * at(5)
     ill[at(6)] = -39.8e3j
     assert set(found(check(ill))) == {
         (FindingKind.OPEN, (6,)),
@@ -274,6 +272,7 @@ def test_faults_of_electrodes_in_four_terminal_frames(protocol):
 kept_simulator = lru_cache(Simulator)  # of the sensor that all of the boards have
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("faults", "expected"),
     [("shorted_pair@0:12", [("short", [1, 7])]), ("nan_channel@0:4", [("not finite", [])])],

@@ -52,6 +52,7 @@ def imported(file: str) -> set[str]:
     return {*paths, *named, *(f"eitskin/{path}" for path in paths)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("walk", WALKS)
 def test_every_file_of_a_walk_is_imported_by_one_before_it(walk) -> None:
     """A page that a browser loads is named by the server's folder, not by an import."""

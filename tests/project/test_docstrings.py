@@ -16,6 +16,8 @@ from pathlib import Path
 import pytest
 from project.test_words import house_words
 
+pytestmark = pytest.mark.slow
+
 PACKAGES = ("geometry", "simulator", "datasets", "training", "hardware")
 ARRAY = re.compile(r"ndarray|NDArray|ArrayLike")
 SHAPE_OR_UNIT = re.compile(r"\([^)]*[,\w][^)]*\)|\[[^]]+\]")
@@ -69,7 +71,6 @@ def test_public_names_have_docstrings_whose_arrays_have_shapes_or_units():
     assert not any(map(breaks_rule, ["from_design", "extra_depth", "with_noise", "_solve", "seed"]))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("package", PACKAGES)
 def test_every_public_class_and_function_has_an_example_that_runs(package, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -109,7 +110,6 @@ def overrides_a_documented_one(module, owner, method):
     return any(inspect.getdoc(vars(base).get(method)) for base in bases if method in vars(base))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("room", ROOMS)
 def test_every_public_method_or_the_one_it_overrides_is_documented(room):
     missing = [names for names in undocumented(room) if not overrides_a_documented_one(*names)]

@@ -100,6 +100,7 @@ PROVOKED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("code", "message"), ROWS)
 def test_the_message_occurs(code, message, tmp_path):
     parts = message.split("...")
@@ -139,6 +140,7 @@ def test_ctrl_c_while_the_commands_load_says_so(monkeypatch, capsys):
     assert capsys.readouterr().err == "eitskin: interrupted\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "extras"),
     [

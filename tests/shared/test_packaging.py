@@ -15,6 +15,8 @@ from eitskin import geometry
 from eitskin.extras import lazy_exports
 from eitskin.geometry import Disc
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("geometry", "simulator", "datasets", "training", "hardware", "cli", "benchmarks")
 FOLDERS = ("eitskin", *ROOMS)
@@ -34,7 +36,6 @@ STEPS = {
 }
 
 
-@pytest.mark.slow
 def test_the_wheel_holds_every_module_of_the_tree(tmp_path) -> None:
     build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path)]
     done = subprocess.run([*build, str(ROOT)], capture_output=True, text=True, check=False)
@@ -79,7 +80,6 @@ def test_type_checkers_see_every_module_and_none_is_too_long():
     assert {path.name: count for path, count in lines.items() if count > most[path]} == {}
 
 
-@pytest.mark.slow
 def test_imports_load_only_the_packages_that_they_need() -> None:
     """Modules in memory after each step of one process: rooms load nothing, torch comes last."""
     told = "import sys; print(*sys.modules)"
@@ -120,7 +120,6 @@ def imported_at_the_top(path: Path) -> set[str]:
     return {name.partition(".")[0] for name in names}
 
 
-@pytest.mark.slow
 def test_modules_import_only_what_is_installed_without_extras() -> None:
     """Packages that others happen to bring along may go: a new typer no longer brings click."""
     given, own = packages_distributions(), {"eitskin", *sys.stdlib_module_names}
@@ -131,7 +130,6 @@ def test_modules_import_only_what_is_installed_without_extras() -> None:
             assert found & allowed, f"{path.relative_to(ROOT)} imports {name}"
 
 
-@pytest.mark.slow
 def test_pipelines_run_with_the_extra_live_alone(tmp_path) -> None:
     """A joint pipeline on a virtual board, and the paper's and touch positions of version 0.1.
 

@@ -71,6 +71,7 @@ def test_a_reader_that_dies_loops_or_fills_up_is_one_error():
     assert answers("[Answer(1)]")[0].data == 1
 
 
+@pytest.mark.slow
 def test_a_reader_that_is_left_is_ended():
     reading = read_in_subprocess(
         "builtin_reader:read", "(Answer(os.getpid()) for _ in range(9))", b"", LIMITS

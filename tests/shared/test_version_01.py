@@ -22,6 +22,8 @@ from eitskin.hardware import open_board
 from eitskin.training import Pipeline, RecordedTouches, open_pipeline
 from eitskin.training.evaluation.evaluate import held_out_positions
 
+pytestmark = pytest.mark.slow
+
 DATA = Path(__file__).parents[1] / "data" / "v0.1"
 EXPECTED = json.loads((DATA / "expected.json").read_text())
 

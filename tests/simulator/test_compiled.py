@@ -15,6 +15,8 @@ from eitskin.geometry.deformation.kinematics import pulled_back_entries
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Scene, Simulator, Touch
 
+pytestmark = pytest.mark.slow
+
 KERNELS = "eitskin.simulator.deformation.kernels"
 if compiled.load_kernels(KERNELS) is None:
     pytest.skip("needs the extra `fast`, without EITSKIN_PLAIN", allow_module_level=True)
@@ -113,7 +115,6 @@ def files(tmp_path_factory):
         yield {path: path.read_bytes() for path in files}
 
 
-@pytest.mark.slow
 @settings(max_examples=10)
 @given(st.data())
 def test_a_file_cut_or_changed_anywhere_is_made_again(files, data):

@@ -51,6 +51,7 @@ def refusing(unchanged):
         yield made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", ["/", "/events"])
 @pytest.mark.parametrize(
     "headers",

@@ -31,6 +31,8 @@ from eitskin.simulator.deformation.touches import sketched_dents
 
 from page_fakes import DESIGN, PROTOCOL, staged_board
 
+pytestmark = pytest.mark.slow
+
 
 def decoded(text, unit):
     steps = np.array(struct.unpack(f"<{len(text) // 2}h", text)) * unit
@@ -99,7 +101,6 @@ def test_a_drawn_layer_is_closed_and_its_electrodes_lie_where_they_are(name) -> 
     assert not (kinds[: body.opaque] == INSIDE).any()
 
 
-@pytest.mark.slow
 def test_a_body_from_a_file_is_drawn_with_its_electrodes(tmp_path) -> None:
     trimesh = pytest.importorskip("trimesh")
     ball = trimesh.creation.icosphere(4, 0.03)  # more points than are drawn

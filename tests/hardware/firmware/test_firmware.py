@@ -53,6 +53,7 @@ def test_it_says_who_it_is_on_boot_and_when_asked():
     assert ask(board, GetTable()) == [Table.from_protocol(PROTOCOL)]
 
 
+@pytest.mark.slow
 def test_a_reboot_counts_and_starts_the_numbers_again():
     board = booted()
     frames(board, 2)
@@ -210,6 +211,7 @@ def test_both_codecs_write_the_same_bytes(packet):
     assert encoded_in_c(packet) == encode(packet)
 
 
+@pytest.mark.slow
 @given(st.lists(packets, max_size=4), st.binary(max_size=50))
 def test_both_codecs_read_the_same_packets(sent, garbage):
     stream = b"x" * (MAX_PACKET - 1) + b"".join(encode(packet) + garbage + b"\0" for packet in sent)

@@ -199,6 +199,7 @@ def test_codes_at_their_end_are_clipped_and_endless_transforms_time_out_alone():
         assert np.allclose(frame.impedance[14:], FLAT[14:], rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_lost_registers_are_set_up_and_a_failed_calibration_tried_again():
     board = booted()
     board.afe.reset()
@@ -258,6 +259,7 @@ def small():
     return found
 
 
+@pytest.mark.slow
 def test_frames_of_several_packets_come_whole_in_order_and_apart():
     host, port = connected(board(ADJACENT, VALUES))
     assert host.protocol == ADJACENT

@@ -18,6 +18,8 @@ from eitskin.simulator.deformation.solution_store import missing, prepare
 from eitskin.simulator.mechanics.load_stepping import SolidError
 from eitskin.simulator.mechanics.materials import NeoHookean
 
+pytestmark = pytest.mark.slow
+
 COARSE = Grading(finest=4e-3, coarsest=8e-3, growth=0.5)
 
 
@@ -51,7 +53,6 @@ def points(n, low=(0.035, 0.0, 0.0), high=(0.115, 0.060, 0.005)):
     return np.random.default_rng(3).uniform(low, high, (*np.atleast_1d(n), 3))
 
 
-@pytest.mark.slow
 def test_gradients_are_derivatives_plates_turn_and_bends_too_far_say_so(bent):
     X = points(200)
     steps = 1e-8 * np.eye(3)
@@ -87,7 +88,6 @@ def layered(length):
     return design, Mechanics(NeoHookean(gel / 3), NeoHookean(around / 3), margin=0.002), EA, EI
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("offset", "faces"), [(0.0, "both"), (0.010, "both"), (0.010, "bottom")])
 def test_small_bends_of_a_slender_beam_store_what_beam_theory_says(offset, faces) -> None:
     """U = (E I + E A d^2) theta^2 / (2 s); what clamps add to s is the same for every span."""
@@ -223,7 +223,6 @@ def test_bends_at_and_between_solved_ones_have_derivatives_and_mirrors(stack, ta
         assert there == pytest.approx(signs * here, abs=1e-14)
 
 
-@pytest.mark.slow
 def test_solved_bends_are_stored_and_scale_exactly(few_angles) -> None:
     design, materials = plain(0.060, 0.012, 0.006)
     reports: list[tuple[int, int]] = []
@@ -244,7 +243,6 @@ def test_solved_bends_are_stored_and_scale_exactly(few_angles) -> None:
     assert displacements(twice) == pytest.approx(2.0 * displacements(found), abs=1e-12)
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("few_angles")
 def test_bends_of_similar_sensors_are_interpolated(monkeypatch) -> None:
     """Direct solutions at the nodes, and close to direct ones between.

@@ -22,6 +22,8 @@ from eitskin.simulator.scene.scene import Touch
 
 from on_demand import OnDemand
 
+pytestmark = pytest.mark.slow
+
 trimesh = OnDemand("trimesh")
 OnDemand("pytetwild")
 
@@ -100,7 +102,6 @@ def test_fields_meet_quadratic_displacements_and_heights_the_highest_face():
 # Bends
 
 
-@pytest.mark.slow
 def test_a_box_bends_as_the_clamped_stack_does(design, flat) -> None:
     clamped = ClampedBody(design, 0.020, 0.004, BARE, COARSE)
     bent = clamped.solve_angle(20.0)
@@ -159,7 +160,6 @@ def test_a_ball_first_meets_a_slope_beside_its_axis_with_fine_cells_below(
     assert below[:, 2] == pytest.approx(0.010 + (below[:, :2] - axis) @ slope, abs=1e-6)
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("few_cells")
 def test_a_box_is_pressed_as_a_stack_of_hexahedra_is(design) -> None:
     """Depth and thinning by quadratic hexahedra of 2 to 5 mm, a rough indenter, 1 N."""
@@ -178,7 +178,6 @@ def sim(design):
     return Simulator(design, ((2,), COARSE), fixture=FreeArc(0.030))
 
 
-@pytest.mark.slow
 def test_a_body_has_the_same_bits_every_time_by_its_shape_not_its_file(tmp_path, monkeypatch):
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path / "cache"))
     resolution = ((1,), COARSE)
@@ -193,7 +192,6 @@ def test_a_body_has_the_same_bits_every_time_by_its_shape_not_its_file(tmp_path,
     assert len(list((tmp_path / "cache").glob("mesh-*.npz"))) == 2
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("few_cells")
 def test_a_body_is_bent_pressed_and_both_and_refuses_other_scenes(
     sim, tmp_path, monkeypatch, design

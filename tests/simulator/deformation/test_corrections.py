@@ -112,6 +112,7 @@ def solved_bells(monkeypatch):
     return Indentations(MECHANICS.stack(DESIGN), MECHANICS, Rigid(), PUNCH)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["strip", "side", "disc"])
 def test_tables_hold_what_was_solved_about_each_press(kind, solved_bells) -> None:
     about, reports = solved_bells, []

@@ -152,6 +152,7 @@ def test_contacts_take_back_the_dents_of_others_also_smaller_than_a_cell(dents):
     assert under == pytest.approx(-found.sunk[0], rel=1.5e-3)
 
 
+@pytest.mark.slow
 def test_dents_are_smooth_and_stacks_beyond_the_memory_refused(dents, monkeypatch):
     field = DentField(X, Y, PUNCH, dents[DEPTH])
     on, beside = (field.evaluate(np.array([[X + away, Y, 0.006]]))[1][0] for away in (0.0, 1e-6))
@@ -249,6 +250,7 @@ def test_a_substrate_is_the_lowest_layer_interpolated_between_solved_moduli():
         assert found == pytest.approx(np.log(6e3) ** power, rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("support", [SOFT, Substrate(0.005, 1e6)])
 def test_small_presses_are_those_of_linear_layers(support) -> None:
     """Smooth punch: its own pressure on the layers by Hankel transform gives its displacements."""

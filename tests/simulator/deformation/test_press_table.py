@@ -150,6 +150,7 @@ def test_forces_beyond_the_table_are_refused(table, wrong) -> None:
             find(wrong)
 
 
+@pytest.mark.slow
 def test_tables_of_a_new_stack_are_its_presses(tmp_path, monkeypatch):
     """A thicker and stiffer stack than tables are solved for: all is scaled there and back."""
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
@@ -257,6 +258,7 @@ def go_on(process):
     process.stdin.flush()
 
 
+@pytest.mark.slow
 def test_when_the_one_that_solves_is_killed_another_solves(ask) -> None:
     first = ask(1)
     assert said(first, 2) == ["looked", "solving"]
@@ -267,6 +269,7 @@ def test_when_the_one_that_solves_is_killed_another_solves(ask) -> None:
     assert said(second, 1) == ["2.0"]
 
 
+@pytest.mark.slow
 def test_another_waits_for_the_one_that_solves_and_takes_its_solution(ask) -> None:
     first = ask(1)
     assert said(first, 2) == ["looked", "solving"]

@@ -105,6 +105,7 @@ def test_a_table_on_the_nodes_of_another_is_the_same_field(table) -> None:
     assert np.abs(found - expected).max() < 0.01 * np.abs(expected).max()
 
 
+@pytest.mark.slow
 def test_a_rectangle_given_as_a_polygon_is_pressed_as_the_rectangle() -> None:
     rectangle = Rectangle(0.15, 0.06)
     polygon = Polygon(((0.15, 0.06), (0.15, 0.0), (0.08, 0.0), (0.0, 0.0), (0.0, 0.06)))

@@ -36,6 +36,8 @@ from eitskin.simulator.simulator import impedances_together
 
 from contacts import with_contacts
 
+pytestmark = pytest.mark.slow
+
 COARSE = ((2, 2, 1), Grading(2e-3, 8e-3, 3.0))
 ANGLES = (-20.0, 0.0, 25.0, 50.0)
 PRESSED = Mechanics(piezoresistivity=Piezoresistivity(volume=0.5, pressure=2e-6))
@@ -80,7 +82,6 @@ def small() -> Simulator:
 # Errors
 
 
-@pytest.mark.slow
 def test_signals_of_touches_are_off_by_less_than_a_thousandth(small) -> None:
     pressed = Simulator(small.design, COARSE, mechanics=PRESSED)
     assert signal_errors(pressed, scenes()[::2]).max() < 1e-3
@@ -89,7 +90,7 @@ def test_signals_of_touches_are_off_by_less_than_a_thousandth(small) -> None:
     assert complex_contacts.measure_all(some) == pytest.approx(exact, rel=1e-12)
 
 
-@pytest.mark.parametrize("z", [pytest.param(1e-7, marks=pytest.mark.slow), 10.0])
+@pytest.mark.parametrize("z", [1e-7, 10.0])
 def test_electrodes_of_any_contact_impedance(z) -> None:
     """In the form of the flat sensor, which is the lifted one where contact is good."""
     sim = Simulator(with_contacts(z), COARSE)
@@ -176,7 +177,6 @@ def test_corrections_take_most_of_the_error_and_wild_scenes_are_solved_alone(sma
 # Work
 
 
-@pytest.mark.slow
 def test_many_scenes_of_many_bends_share_one_factorisation() -> None:
     never_seen = dataclasses.replace(SensorDesign.reference(), conductivity=0.987)
     sim, some = Simulator(never_seen, COARSE), scenes()[::3]
@@ -188,13 +188,7 @@ def test_many_scenes_of_many_bends_share_one_factorisation() -> None:
     assert exact[: len(some)] == pytest.approx(plainly(sim, some), rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("electrodes", "plain"),
-    [
-        (8, False),
-        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((5, True), (70, False))),
-    ],
-)
+@pytest.mark.parametrize(("electrodes", "plain"), [(8, False), (5, True), (70, False)])
 def test_bytes_do_not_depend_on_neighbours(monkeypatch, electrodes, plain) -> None:
     """Scenes in any order and number, beside quick and slow ones, in any place of a batch."""
     if plain:
@@ -273,7 +267,6 @@ def signals(resolution):
 
 # Orders that fall with the part over the height follow presses and bends, but not a shear of the
 # whole layer, which couples the parts.
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("resolution", "of_press", "of_shear"),
     [("coarse", 5e-3, 2.5e-2), ("fast", 2e-3, 3.8e-2), ("standard", 1e-3, 2e-3)],
@@ -297,7 +290,6 @@ def test_cells_are_not_larger_than_an_indenter_allows(extent, cells) -> None:
         assert grading.coarsest < press_length(wide, indenter)
 
 
-@pytest.mark.slow
 def test_many_scenes_of_two_meshes_are_those_of_one_by_one(monkeypatch) -> None:
     """Light presses stand for those of small indenters, whose dents take minutes to solve."""
     sim = Simulator(SensorDesign.reference(), "coarse")
@@ -320,7 +312,6 @@ def test_many_scenes_of_two_meshes_are_those_of_one_by_one(monkeypatch) -> None:
 # Memory
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("order", "size", "cells"),
     [
@@ -351,7 +342,6 @@ def test_the_estimate_is_near_the_memory_that_is_taken(order, size, cells) -> No
 # Kinds of cells
 
 
-@pytest.mark.slow
 def test_many_electrodes_have_prisms_and_simulators_of_a_design_share_its_mesh():
     """Lines of hexahedra through 32 electrodes would make five times the reference's unknowns."""
     eight, many, pads = (
@@ -390,7 +380,6 @@ def test_many_electrodes_have_prisms_and_simulators_of_a_design_share_its_mesh()
     assert own.sensor_impedances.own.model_for_touches([small]) is own.model
 
 
-@pytest.mark.slow
 def test_prisms_are_as_exact_as_promised() -> None:
     model = ForwardModel(DESIGN, "fast", cells="prisms")
     layer = DeformedLayer(DESIGN, SCENES[1], Piezoresistivity())

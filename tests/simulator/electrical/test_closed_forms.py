@@ -134,6 +134,7 @@ def test_sector_between_its_curved_faces(z) -> None:
     assert pair(Z) * THICKNESS == pytest.approx(exact, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [1e6, 0.5 + 2j])
 def test_concentric_disc(ratio) -> None:
     """Half a disc, as currents cos(n phi) are even; they leave evenly from very bad contacts."""
@@ -191,6 +192,7 @@ def whole_matrices(model, sigma):
     return K, assembly
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("order", "layers", "z"),
     [((2, 1), 2, 1e-3), ((3, 2, 1), 1, 1e-3 - 4e-4j), ((3, 3, 3), 2, 1e-3)],
@@ -227,6 +229,7 @@ def test_both_forms_of_an_electrode_agree_where_both_hold(z, monkeypatch) -> Non
     assert plain == pytest.approx(free, rel=max(lost, 1e-10))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("on", ["side", "top", "inside"])
 def test_what_is_grounded_takes_part_in_a_constant_potential(on) -> None:
     """Else the system is singular but for rounding, and nearly all digits are lost."""

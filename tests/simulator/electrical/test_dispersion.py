@@ -19,6 +19,8 @@ from eitskin.geometry import (
 )
 from eitskin.simulator import ForwardModel, Protocol, Scene, Simulator, Touch
 
+pytestmark = pytest.mark.slow
+
 # Muscle of Gabriel, Lau and Gabriel (1996).
 MUSCLE = ColeCole(
     0.2,

@@ -53,6 +53,7 @@ def test_a_bar_of_tetrahedra_has_the_resistance_of_its_length() -> None:
     assert np.polyfit(bar.p[0], drop, 1)[0] == pytest.approx(1 / 2 / 0.02)
 
 
+@pytest.mark.slow
 def test_a_disc_has_the_eigenvalues_of_its_series() -> None:
     """Through contacts so bad that currents leave evenly from them."""
     points, cells, electrodes = disc()
@@ -202,6 +203,7 @@ def test_a_small_ball_has_the_signal_of_its_dipole() -> None:
     assert change == pytest.approx(expected, rel=0.03)
 
 
+@pytest.mark.slow
 def test_inclusions_have_cells_of_their_own_and_impossible_ones_are_refused():
     outline = Polygon(((0, 0), (0.1, 0), (0.1, 0.03), (0.03, 0.03), (0.03, 0.1), (0, 0.1)))
     design = SensorDesign(outline, HEIGHT, uniform(outline, 8))

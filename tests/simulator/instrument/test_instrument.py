@@ -79,6 +79,7 @@ def test_without_terms_nothing_changes_and_noise_is_below_full_scale_in_quadratu
 # ---- drift ----
 
 
+@pytest.mark.slow
 def test_walks_grow_as_the_root_of_time_and_the_gel_drifts_before_capacitances():
     times = DRIFT_TIME * np.array([1 / 64, 1 / 16, 1 / 4, 1.0])
     walks = np.array([RandomWalk(0.002, seed)(times) for seed in range(4000)])
@@ -96,6 +97,7 @@ def test_walks_grow_as_the_root_of_time_and_the_gel_drifts_before_capacitances()
         np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("term", ["drift", "gel_drift"])
 def test_drift_is_one_factor_for_all_measurements_from_the_sessions_start(term):
     instrument = only(**{term: 0.002})
@@ -111,6 +113,7 @@ def test_drift_is_one_factor_for_all_measurements_from_the_sessions_start(term):
 # ---- gain, phase, reciprocity ----
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("term", "deviation", "limit"), [("gain", 0.0125, 0.0125), ("phase_deg", 0.1, 0.3)]
 )
@@ -286,6 +289,7 @@ def test_gels_conduct_by_warmth_and_dryness_and_change_as_the_aged_sensor():
             age_gel(fresh, **wrong)
 
 
+@pytest.mark.slow
 def test_cycles_on_one_place_approach_their_sum_and_deepen_later_touches():
     """A standard linear solid, held for a and free for b: the rest of n holds is a series."""
     g, tau, a, b, force = 0.4, 5.0, 3.0, 2.0, 4.0

@@ -39,12 +39,6 @@ def assembled(cells, parts):
     return parts[:, i, j].ravel(), A
 
 
-def blocks_of(order, rows, columns, cells, middles):
-    if order == "strips":
-        return strips(rows, columns, level_structure(cells, np.flatnonzero(middles[:, 0] == 0.0)))
-    return dissection(cells, middles)
-
-
 @pytest.mark.parametrize("kind", ["real", "complex"])
 @pytest.mark.parametrize(
     ("order", "leaf"), [("strips", 0), ("dissected", 1), ("dissected", 20), ("dissected", 10**6)]
@@ -59,7 +53,10 @@ def test_solutions_are_those_of_the_dense_matrix(order, leaf, kind, monkeypatch)
         more = rng.normal(size=parts.shape)
         parts = parts + 1j * (more + more.swapaxes(1, 2))
     (rows, columns), (values, A) = positions(cells), assembled(cells, parts)
-    solver = MultifrontalSolver(rows, columns, blocks_of(order, rows, columns, cells, middles))
+    if order == "strips":
+        levels = level_structure(cells, np.flatnonzero(middles[:, 0] == 0.0))
+    blocks = strips(rows, columns, levels) if order == "strips" else dissection(cells, middles)
+    solver = MultifrontalSolver(rows, columns, blocks)
     B = rng.normal(size=(len(A), 3))
     factors, wanted = solver.factorise(values), np.linalg.solve(A, B)
     assert factors.solve(B) == pytest.approx(wanted, rel=1e-9)

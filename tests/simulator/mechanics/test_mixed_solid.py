@@ -46,13 +46,6 @@ def on_boundary(solid, low=0.0, high=1.0):
     return np.flatnonzero(np.any((np.abs(X - low) < 1e-9) | (np.abs(X - high) < 1e-9), axis=1))
 
 
-def driven(solid, u):
-    """Equilibrium whose boundary nodes have the displacement `u`."""
-    nodes = on_boundary(solid)
-    path = prescribe(solid, nodes, lambda t: t * u[nodes])
-    return follow([solid], np.zeros(solid.unknowns), path)[0]
-
-
 def state(solid, size=0.02, seed=0):
     return size * np.random.default_rng(seed).uniform(-1, 1, solid.unknowns)
 
@@ -82,7 +75,9 @@ def test_affine_displacements_of_the_boundary_strain_the_inside_alike(kind) -> N
         gradient = np.eye(solid.dim)
         gradient[0, -1], gradient[1, 0], gradient[0, 0] = 0.4, -0.1, 1.05
     u = solid.nodes @ (gradient - np.eye(solid.dim)).T
-    x = driven(solid, u)
+    nodes = on_boundary(solid)
+    path = prescribe(solid, nodes, lambda t: t * u[nodes])
+    x = follow([solid], np.zeros(solid.unknowns), path)[0]
     assert solid.displacement(x) == pytest.approx(u, abs=1e-9)
     P = solid.stress(x)
     assert pytest.approx(np.broadcast_to(P[0, 0], P.shape), abs=1e-7) == P
@@ -218,6 +213,7 @@ def test_blocks_bent_until_they_wrinkle_are_refused() -> None:
     assert 2.0 * error.value.reached == pytest.approx(1.54, abs=0.15)
 
 
+@pytest.mark.slow
 def test_impossible_solids_and_loads_are_refused() -> None:
     mesh, _ = MESHES["hexahedra"]
     for ratio in (0.0, 1e9, np.nan):

@@ -53,6 +53,7 @@ def one(touch, mechanics=None):
     return found
 
 
+@pytest.mark.slow
 def test_a_press_tells_depth_contact_and_pressure_and_to_a_depth_is_that_of_its_force(sim):
     found = one(Touch(X, Y, 10.0))
     assert found.force == pytest.approx(10.0)
@@ -265,6 +266,7 @@ def test_a_round_footprint_presses_like_the_cylinder_and_off_its_middle_in_part(
     assert np.array_equal(pressed(ROUND, force=6.0)[0], signal)
 
 
+@pytest.mark.slow
 def test_indenters_keep_apart_by_their_shapes_and_scanned_balls_are_spheres(tmp_path):
     bar, ball = Footprint(0.03, 0.006), Sphere(0.004)
     above = (X, Y + 0.010)

@@ -51,6 +51,7 @@ def mirrored(electrodes) -> list[int]:
     return [PAIRS.index(tuple(sorted((electrodes[a], electrodes[b])))) for a, b in PAIRS]
 
 
+@pytest.mark.slow
 def test_bends_stretch_the_layer_rigid_motions_do_nothing_and_mirrors_mirror(sim, flat):
     """Twisting back mirrors the sensor: electrodes 0, 1, 2 take the places of 6, 5, 4."""
     assert not sim.measure(Scene()).status.any()

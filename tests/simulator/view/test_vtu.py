@@ -19,6 +19,8 @@ from eitskin.simulator.view.vtu import (
 
 from on_demand import OnDemand
 
+pytestmark = pytest.mark.slow
+
 pyvista = OnDemand("pyvista")
 
 CELL = 0.008
@@ -90,7 +92,6 @@ def test_points_cells_and_fields_are_those_of_the_deformed_model(sim, written):
 # The command
 
 
-@pytest.mark.slow
 def test_the_command_writes_a_scene(tmp_path) -> None:
     scene, out = tmp_path / "scene.toml", tmp_path / "out"
     scene.write_text("[bend]\nangle_deg = 20.0\n")

@@ -28,6 +28,8 @@ from eitskin.training.adaptation.locator import (
 from eitskin.training.adaptation.press_fit import LabelledPresses, learn_places
 from eitskin.training.adaptation.sheet import Sectors, design_span
 
+pytestmark = pytest.mark.slow
+
 DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[4] / "shared" / "data"))
 
 POSITIONS = TrainingSettings("touch position")
@@ -39,7 +41,6 @@ def learned():
     return learn_places(LabelledPresses(ratio, places, depth))
 
 
-@pytest.mark.slow
 def test_places_strength_and_errors_are_learned_also_without_depths_or_channels(learned):
     ratio, places, depth = toy_presses(30, seed=1)
     found, left_out = learned.locator.locate(ratio)
@@ -72,7 +73,6 @@ def test_places_strength_and_errors_are_learned_also_without_depths_or_channels(
         learned.locator.apply(ratio[:, :7])
 
 
-@pytest.mark.slow
 def test_few_presses_are_explained_in_several_ways():
     """Places are means over them, in whatever units each has its channels, and saved with them."""
     ratio, places, depth = toy_presses(6)
@@ -92,7 +92,6 @@ def test_few_presses_are_explained_in_several_ways():
     assert learn_places(LabelledPresses(*toy_presses(9))).locator.others == ()
 
 
-@pytest.mark.slow
 def test_noisy_places_are_drawn_to_the_middle_as_suits_presses_not_seen():
     corner = np.array([0.3, 0.2])  # the middle is not at the origin
     ratio, places, _ = toy_presses(noise=0.02)
@@ -104,7 +103,6 @@ def test_noisy_places_are_drawn_to_the_middle_as_suits_presses_not_seen():
     assert abs(locator.trust - best) < 0.2  # 0.68: left-out presses show a little more
 
 
-@pytest.mark.slow
 def test_measured_hydrogel_skin():
     """500 presses of a real skin: places of the last 100 from the first 400, without a design."""
     if not (DATA / "ohmc8.mat").is_file():
@@ -180,7 +178,6 @@ def frame(values, number, **changes):
     return Frame(values, PROTOCOL, 0.1 * number, number, **changes)
 
 
-@pytest.mark.slow
 def test_a_press_has_a_position_alone_also_with_channels_that_are_lost(opened):
     assert opened.targets.missing == ("the state", "the bend angle", "forces")
     noise = 1.0 + 1e-4 * np.random.default_rng(1).standard_normal((5, 15))
@@ -329,7 +326,6 @@ def test_rotations_gains_and_signs_of_a_ring_are_found_from_few_presses():
     np.testing.assert_allclose(presses.answers, answers(presses.places), atol=1e-12)
 
 
-@pytest.mark.slow
 def test_span_of_a_design_holds_the_maps_of_its_protocol(monkeypatch):
     """Any sensitivity is a combination of the span's maps: here against those of point sources."""
     monkeypatch.setattr(sheet, "SPAN_PIXELS", 900)

@@ -29,6 +29,7 @@ def drawn(seed, parameters=4, measurements=9):
     return rng.normal(size=(parameters, measurements)), rng.uniform(0.5, 2.0, measurements)
 
 
+@pytest.mark.slow
 def test_bounds_are_those_of_a_line_an_untouched_angle_and_a_boards_readings(sim):
     """y = a + b t with white noise s, by the formulas of linear regression."""
     t, s = np.array([1.0, 2.0, 4.0, 7.0, 11.0]), 0.3

@@ -216,6 +216,7 @@ def test_folder_holds_what_there_is_to_show_and_says_what_not(evaluation, tmp_pa
     assert 'name = "by hand"' in text
 
 
+@pytest.mark.slow
 def test_an_earlier_report_is_replaced_whole(evaluation, tmp_path, monkeypatch):
     names = ("confusion.png", "bend_sequence.png")  # quick ones, of which there is one to draw
     monkeypatch.setattr(report_folder, "PICTURES", {name: PICTURES[name] for name in names})

@@ -117,12 +117,6 @@ def posterior(curve, angles, change, noise):
     return curve.effects.ravel() + covariance @ evidence, covariance
 
 
-def estimated(curve, change):
-    """Angle and standard error of a frame, whose bad measurements are NaN."""
-    combined = COMBINATIONS.combine(change, 1.0, 0.0)
-    return estimate_angle(curve, combined.change, combined.noise)
-
-
 def test_stated_error_is_that_of_many_frames(curve, rng):
     """Standardised errors over specimens and noise, with a bad channel in half of the frames."""
     for angle in (-15.0, 10.0, 40.0):
@@ -132,7 +126,8 @@ def test_stated_error_is_that_of_many_frames(curve, rng):
         )
         change += 2e-4 * rng.standard_normal(change.shape)
         change[::2, 4] = np.nan
-        said = np.array([estimated(curve, frame) for frame in change])
+        seen = [COMBINATIONS.combine(frame, 1.0, 0.0) for frame in change]
+        said = np.array([estimate_angle(curve, each.change, each.noise) for each in seen])
         z = (said[:, 0] - angle) / said[:, 1]
         assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.02)
         whole = angle_standard_error(curve, angle, NOISE)
@@ -189,7 +184,8 @@ def test_mixed_models_find_covariance_and_moments_are_the_integral_over_angles(r
             for k in range(3)
         )
         mean = first / total
-        found = posterior_angle(curve, combined, likeliest(curve, combined))
+        likeliest = estimate_angle(curve, combined.change, combined.noise)
+        found = posterior_angle(curve, combined, AngleEstimate(*likeliest, 0.0))
         expected = np.sqrt(second / total - mean**2)
         if expected < NORMAL_DEG:
             continue
@@ -239,17 +235,10 @@ def flattening(unknown=2e-3):
     return BendCurve(mean, np.zeros((RANDOM_POWERS, CHANNELS)), covariance, (LOW, HIGH))
 
 
-def seen(change):
-    return COMBINATIONS.combine(change, 1.0, 0.0)
-
-
 def frames(curve, count, rng):
     """Angles, and frames of as many sensors whose curves are drawn."""
     angles = rng.uniform(LOW, HIGH, count)
     for angle in angles:
         spread = curve.uncertainty(angle) + NOISE
-        yield angle, seen(curve.value(angle) + rng.multivariate_normal(np.zeros(CHANNELS), spread))
-
-
-def likeliest(curve, combined, sigma=0.0):
-    return AngleEstimate(*estimate_angle(curve, combined.change, combined.noise), sigma)
+        change = curve.value(angle) + rng.multivariate_normal(np.zeros(CHANNELS), spread)
+        yield angle, COMBINATIONS.combine(change, 1.0, 0.0)

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 from made_up_frames import made_up_frames
 from scipy.spatial.distance import cdist
 
@@ -59,6 +60,7 @@ def rms(values):
     return np.sqrt(np.mean(np.square(values)))
 
 
+@pytest.mark.slow
 def test_curves_of_clamps_are_those_of_their_specimens_and_unknown_ones_left_alone():
     made = clamps_of(40)
     frames = bent(made)

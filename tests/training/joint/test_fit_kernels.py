@@ -19,17 +19,12 @@ NEAR = [[0.050, 0.030, 6.0], [0.062, 0.036, 11.0], [0.055, 0.020, 8.0]]
 STARTS = {"untouched": [], **TOUCHES, "near": NEAR, "at bounds": [TOUCH_PRIOR.low] * 2}
 
 
-def compiled_one(objective):
-    """The same objective with compiled kernels."""
-    with kernels():
-        return replace(objective)
-
-
 @pytest.mark.parametrize("steps", [1, 3, 8])
 def test_fits_end_where_those_of_plain_numpy_do(steps):
     """Starts near and far, steps that shrink, bounds that hold, and a goal out of reach."""
     objective = frame(TOUCHES[3], 20.0, 12.0, np.random.default_rng(1))
-    fast = compiled_one(objective)
+    with kernels():
+        fast = replace(objective)
     for name, touches in STARTS.items():
         for away, goal in ((0.0, np.inf), (0.009, np.inf), (0.003, 500.0)):
             start = np.array(touches, dtype=float).reshape(-1, 3)

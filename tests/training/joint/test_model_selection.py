@@ -36,6 +36,8 @@ from smooth_sensor import (
     response,
 )
 
+pytestmark = pytest.mark.slow
+
 # The objective
 
 

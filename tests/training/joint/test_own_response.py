@@ -13,6 +13,8 @@ from eitskin.training.joint.method import JointMethod
 
 from smooth_sensor import FLAT, MEASUREMENTS, NOISE, TOUCH_PRIOR, response
 
+pytestmark = pytest.mark.slow
+
 RADIUS = 0.0075
 
 
@@ -195,7 +197,6 @@ def test_the_strength_of_the_sensor_is_told_by_known_forces(smooth):
     assert gains[1] == pytest.approx(1.0, abs=0.05)
 
 
-@pytest.mark.slow
 def test_the_covariance_left_is_that_of_the_errors(smooth):
     """Errors of the latent variables of 20 sensors over their standard deviations."""
     rng = np.random.default_rng(3)

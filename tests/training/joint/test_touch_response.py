@@ -110,6 +110,7 @@ Y = np.array([[0.020, 0.020, NAN], [0.030, NAN, NAN], [0.050, 0.010, 0.030]])
 FORCE = np.array([[4.0, 6.0, NAN], [8.0, NAN, NAN], [4.0, 10.0, 6.0]])
 
 
+@pytest.mark.slow
 def test_priors_are_estimated_and_followed_with_changes_of_the_response():
     """Bounds lie 3 mm and 30 % beyond the touches, but on the sensor."""
     prior = TouchPrior.fit(np.stack([X, Y, FORCE], axis=-1), SIZE, 0.0075)
@@ -121,7 +122,7 @@ def test_priors_are_estimated_and_followed_with_changes_of_the_response():
     assert prior.force == pytest.approx((mean, np.hypot(known.std(), 0.15 * mean)))
     np.testing.assert_allclose(prior.box[0], [0.0615, 0.030, mean])
     # The mean change over specimens and noise is that of `TouchResponse`.
-    _, places = made_frames(4000)
+    _, places = MODEL.frames(4000, np.random.default_rng(1))
     there = np.isfinite(places[..., 0])
     counts = there.sum(axis=1)
     assert set(counts) == {0, 1, 2, 3, 4}
@@ -147,6 +148,7 @@ def test_priors_are_estimated_and_followed_with_changes_of_the_response():
     np.testing.assert_allclose(spread, np.hypot(touch_training.LOG_SENSITIVITY_STD, 0.1), rtol=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mismatch", [0.03, 0.2])
 def test_errors_of_a_response_are_found_next_to_those_of_noise_and_specimens(mismatch):
     """By what is left of frames that have strengths, q, errors in proportion, and noise."""
@@ -168,10 +170,6 @@ def test_errors_of_a_response_are_found_next_to_those_of_noise_and_specimens(mis
 MODEL = SyntheticFrames(
     response(mismatch=0.1, features=1), curves(features=1), TOUCH_PRIOR, MEASUREMENTS
 )
-
-
-def made_frames(count, seed=1):
-    return MODEL.frames(count, np.random.default_rng(seed))
 
 
 # CombinedChange the map
@@ -225,6 +223,7 @@ def with_electrode(number, **changes):
     return replace(design, electrodes=tuple(electrodes))
 
 
+@pytest.mark.slow
 def test_touch_in_the_mirror_measures_what_the_mirror_says():
     """Agreement to rounding, because the mesh has the sensor's symmetries."""
     design, protocol = SensorDesign.reference(), Protocol.opposite(8)

@@ -78,6 +78,7 @@ def test_steps_are_the_least_damped_shorter_where_they_fail_and_stay_at_bounds(l
     np.testing.assert_allclose(step[held], 0.0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_best_pairs_are_those_of_a_loop_over_all(objective, candidates):
     start = Unknowns(np.array([[0.012, 0.048, 3.0]]), 14.0)
     found = levenberg_marquardt(objective, objective.linearise(start), 0, 0.03)

@@ -38,6 +38,8 @@ from smooth_sensor import (
     touch_change,
 )
 
+pytestmark = pytest.mark.slow
+
 LAYOUT = InputSpec(SensorDesign.reference(), PROTOCOL, 40e3, FLAT)
 
 
@@ -107,7 +109,6 @@ def trained():
     return method, said
 
 
-@pytest.mark.slow
 def test_what_is_learned_is_the_sensor(trained):
     method, said = trained
     np.testing.assert_allclose(method.combinations.noise, NOISE, rtol=0.04)
@@ -125,7 +126,6 @@ def test_what_is_learned_is_the_sensor(trained):
     assert all(done <= total for _, done, total in said)
 
 
-@pytest.mark.slow
 def test_standard_errors_of_places_are_scaled_by_specimens_held_out(trained):
     """To the scale that an unscaled method has there; no other specimen takes part."""
     method, _ = trained
@@ -165,7 +165,6 @@ BRIEF = JointSettings(
 )
 
 
-@pytest.mark.slow
 def test_a_sensor_that_is_never_bent_and_touches_without_forces_of_two_specimens():
     """The flat sensor is the reference of every frame. Places are learned with a strength in place
     of the force, which is never told as a force. Two specimens are too few for latent variables.
@@ -205,7 +204,6 @@ def with_plates(data):
     )
 
 
-@pytest.mark.slow
 def test_touches_on_plates_are_learned_apart():
     data = with_plates(dataset(1500))
     with small_networks(steps=10):
@@ -224,7 +222,6 @@ def test_touches_on_plates_are_learned_apart():
     assert errors[1] < 0.5 * errors[0]
 
 
-@pytest.mark.slow
 def test_a_sensor_that_is_never_touched():
     """Idle or bent, and the angle; nothing of touches, with no network."""
     data = dataset(450)

@@ -28,6 +28,7 @@ def known(labels, levels):
     return KnownFrames.from_frames(frames, labels, SPEC)
 
 
+@pytest.mark.slow
 def test_changes_are_from_the_mean_of_flat_frames_which_alone_change_no_estimate():
     found = known([REST, REST, BENT], [0.001, 0.003, 0.012])
     seen = found.observations

@@ -141,14 +141,6 @@ PROTOCOL = Protocol.pairwise(8)
 FLAT = np.linspace(400.0, 800.0, 28)
 
 
-def of_specimens(scatter):
-    """Specification for eight specimens whose channels scatter by so much, and the generator."""
-    rng = np.random.default_rng(0)
-    reference = FLAT * np.exp(scatter * rng.normal(size=(8, 28)))
-    data = Dataset.from_arrays(reference, reference, specimen=np.arange(8), state=np.zeros(8))
-    return InputSpec.from_dataset(data, SensorDesign.reference(), PROTOCOL), rng
-
-
 def test_sensors_that_scatter_are_taken_once_known_and_electrode_orders_are_named():
     flat = 500.0 * np.exp(0.3 * np.random.default_rng(4).normal(size=28))
     rows = {frozenset(row[:2]): number for number, row in enumerate(PROTOCOL.table)}
@@ -164,7 +156,10 @@ def test_sensors_that_scatter_are_taken_once_known_and_electrode_orders_are_name
             refuse(plugged(exchanged).astype(complex))
         with pytest.raises(FrameError, match="counted backwards from 3 on"):
             refuse(plugged(backwards).astype(complex))
-    spec, rng = of_specimens(0.01)
+    rng = np.random.default_rng(0)
+    eight = FLAT * np.exp(0.01 * rng.normal(size=(8, 28)))
+    data = Dataset.from_arrays(eight, eight, specimen=np.arange(8), state=np.zeros(8))
+    spec = InputSpec.from_dataset(data, SensorDesign.reference(), PROTOCOL)
     strange = 1.5 * FLAT * np.exp(0.2 * rng.normal(size=28))
     with pytest.raises(FrameError, match=r"expected up to 10\.0%"):
         spec.require_same_sensor(strange.astype(complex))

@@ -219,6 +219,7 @@ def bends(count=200, seed=0):
     return dV, angle
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("specimens", "count"), [(1, 200), (7, 200), (9, 53), (1, 11), (6, 13)])
 def test_bend_angle_is_what_a_search_over_a_grid_finds(specimens, count):
     """scikit-learn's own search, also where there are more features than frames of a fold."""
@@ -282,6 +283,7 @@ def test_losses_fall_to_those_of_the_trained_network():
     assert first.training[0] == pytest.approx(np.mean(TARGETS**2), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_divergence_is_refused():
     with pytest.raises(ConfigurationError, match=r"epoch \d+.*learning_rate"):
         fit(rate=1e30, epochs=30)

@@ -78,6 +78,7 @@ def folder(pipeline, tmp_path_factory):
     return pipeline.save(tmp_path_factory.mktemp("own") / "own.eitmodel")
 
 
+@pytest.mark.slow
 def test_a_saved_pipeline_keeps_name_options_and_arrays(pipeline, folder, dataset):
     document = json.loads((folder / "pipeline.json").read_text())
     assert document["method"] == document["settings"]["method"] == Strongest.KIND
@@ -110,6 +111,7 @@ def shifted(method, observations):
     return Predictions.from_arrays(len(observations), method.spec, places=places)
 
 
+@pytest.mark.slow
 def test_a_method_without_states_keeps_its_reference_while_touched(pipeline, dataset):
     """What is not estimated is None; a held touch does not become the reference."""
     idle = dataset.frame(0)
@@ -126,10 +128,6 @@ def test_a_method_without_states_keeps_its_reference_while_touched(pipeline, dat
     assert report.bend.rmse_deg is None
     assert not any(report.states.accuracy.values())
     pipeline.reset()
-
-
-def faulty(**members):
-    return type("Strongest", (Strongest,), {"__module__": __name__, **members})
 
 
 def says(**what):
@@ -165,8 +163,9 @@ WRONG = {
 
 @pytest.mark.parametrize(("members", "message"), WRONG.values(), ids=WRONG)
 def test_a_method_that_is_wrong_is_refused_when_it_is_fitted(dataset, members, message):
+    faulty = type("Strongest", (Strongest,), {"__module__": __name__, **members})
     with pytest.raises(MethodCodeError, match=message):
-        Pipeline.fit(dataset, KEPT, method=faulty(**members))
+        Pipeline.fit(dataset, KEPT, method=faulty)
 
 
 @pytest.mark.slow

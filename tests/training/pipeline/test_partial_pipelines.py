@@ -29,6 +29,8 @@ from eitskin.training.paper import method as paper_method
 from made_up_sensor import FLAT
 from made_up_sensor import frames as made_up_frames
 
+pytestmark = pytest.mark.slow
+
 BRIEF = NetworkSettings(1e-3, epochs=1, batch=32)
 SETTINGS = TrainingSettings(classifier=BRIEF, postprocessor=BRIEF, bend_squares=False)
 

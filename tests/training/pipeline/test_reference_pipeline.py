@@ -17,6 +17,8 @@ from eitskin.training import FrameLabel, Pipeline, TouchLabel
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.model_selection import FrameFit
 
+pytestmark = pytest.mark.slow
+
 DESIGN = SensorDesign.reference()
 ANGLES = (-20.0, 0.0, 15.0, 30.0, 50.0)
 
@@ -221,7 +223,6 @@ def test_known_touches_of_other_axes_or_units_are_refused(session, flip, force, 
         assert session.pipeline.adapt(frames, labels).touches == 3
 
 
-@pytest.mark.slow
 def test_four_touches_that_look_like_a_large_bend_leave_the_angle_what_it_was(session):
     """The frames' likeliest bends without touches lie at the end of the range."""
     for angle_deg, places in (
@@ -269,7 +270,6 @@ def test_a_measurement_that_is_wrong_is_left_out_and_touches_are_found(session, 
     assert not after.problems
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("gain", [0.998, 1.03, np.exp(0.07j)])
 def test_a_step_of_the_boards_gain_or_phase_is_taken_back(session, simulator, gain):
     """Of a flat, a touched and a bent sensor: said once, and no estimate changes."""
@@ -290,7 +290,6 @@ def test_a_step_of_the_boards_gain_or_phase_is_taken_back(session, simulator, ga
         assert [bool(each.problems) for each in said] == [False, False, True, False, False]
 
 
-@pytest.mark.slow
 def test_loud_boards_hide_no_touch_and_faint_touches_are_told_together(simulator):
     """Three times the noise of training: frames are still, and a touch stays one for long."""
     session, loud = Session(simulator), Instrument(snr_db=65.5)
@@ -344,7 +343,6 @@ def test_taps_of_one_frame_each_are_found(session, free):
             assert session(Scene(bend)).state is not State.TOUCH
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("faces", "noise"), [("both", 3e-4), ("bottom", 1e-4)])
 def test_a_held_touch_is_not_lost_while_the_sensor_bends(faces, noise):
     """A bend hides the touch in every frame by itself; one of the clamps is not the usual."""
@@ -364,7 +362,6 @@ def test_a_held_touch_is_not_lost_while_the_sensor_bends(faces, noise):
             assert error < max(2.0, 3.0 * said.bend_deviation_deg)
 
 
-@pytest.mark.slow
 def test_it_tells_angles_of_another_clamp_and_how_surely():
     """A sensor held below: the default clamp's bend curves are sure of angles that are wrong."""
     session = Session(Simulator(DESIGN, "coarse", fixture=Clamp(faces="bottom")))
@@ -383,7 +380,6 @@ def test_it_tells_angles_of_another_clamp_and_how_surely():
     assert ratios[0] < min(1.5, 0.5 * ratios[1])
 
 
-@pytest.mark.slow
 def test_a_sensor_with_contacts_like_no_other_is_adapted_to_and_then_taken_for_its_own():
     """Refused as trained; five angles make the pipeline its own, sessions included."""
     factors = np.exp([-1.0, 1.8, -1.0, -1.0, -1.0, 1.8, -1.0, 1.8])

@@ -186,6 +186,7 @@ HOSTILE = {
 }
 
 
+@pytest.mark.slow
 def test_nonsense_with_right_sums_is_refused_in_one_short_sentence(tmp_path):
     for number, (name, (change, words)) in enumerate(HOSTILE.items()):
         folder = tmp_path / f"{number}.eitmodel"

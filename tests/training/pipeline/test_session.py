@@ -81,17 +81,10 @@ def test_references_are_means_of_a_still_sensor_frozen_by_a_touch_until_a_new_be
     np.testing.assert_array_equal(session.bend, BENT)
 
 
-def last_step(*frames):
-    """Last step of frames given as (number, time) or (number, time, session)."""
-    order = SessionOrder()
-    for number, time, *session in frames:
-        step = order.follow(Frame(np.ones(3), Protocol.pairwise(3), time, number, *session))
-    return order, step
-
-
 STEADY = tuple((n, 0.3 * n) for n in range(5))
 AHEAD = ((5_000_000, 1.5), (5, 4294.9), (5_000_000, 1e300), (2**31, 9e9))
-# Frames; whether the last one begins a session, words of its problem, time elapsed.
+# Frames (number, time) or (number, time, session); whether the last one begins a session, words of
+# its problem, time elapsed.
 ORDERS = [
     (STEADY, False, "", 1.2),
     ((*STEADY, (5, 1.5, 1)), True, "session 1 follows session 0", 0.0),
@@ -122,7 +115,9 @@ ORDERS = [
 
 @pytest.mark.parametrize(("given", "begins", "problem", "elapsed"), ORDERS)
 def test_order_of_frames(given, begins, problem, elapsed):
-    order, step = last_step(*given)
+    order = SessionOrder()
+    for number, time, *session in given:
+        step = order.follow(Frame(np.ones(3), Protocol.pairwise(3), time, number, *session))
     assert step.new_session == begins
     assert step.gap == ("jumped" in problem or given[-1] == (24, 7.2) or given[-1][1] == 1e308)
     assert problem in " ".join(step.problems)

@@ -35,6 +35,7 @@ def greit():
     return made(difference="absolute")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", get_args(Method))
 def test_every_method_shows_a_change_where_it_is_and_with_its_sign(method):
     """For relative differences, the default here, as well as for absolute ones."""
