@@ -43,13 +43,6 @@ def bends(pipeline):
     )
 
 
-def toy_recording(count=25):
-    ratio, places, depth = toy_presses(count)
-    known = {"state": np.full(count, State.TOUCH), "time": np.arange(count)}
-    known["touch_depth"] = np.where(np.arange(4) == 0, depth[:, None], np.nan)
-    return touched_dataset(ratio, np.ones(8), places, **known)
-
-
 def nearest(presses):
     """Places of the press that is most alike, in place of maps, which take seconds."""
 
@@ -95,7 +88,10 @@ def test_blocks_of_time_are_tested_with_frames_of_the_others(monkeypatch):
 def test_touch_positions_are_learned_where_nothing_was_before(monkeypatch, tmp_path):
     """The pipeline that stands under a name is replaced only with --replace."""
     monkeypatch.setattr(adaptation_curve, "learn_places", nearest)
-    save_dataset(toy_recording(), tmp_path / "presses")
+    ratio, places, depth = toy_presses(25)
+    known = {"state": np.full(25, State.TOUCH), "time": np.arange(25)}
+    known["touch_depth"] = np.where(np.arange(4) == 0, depth[:, None], np.nan)
+    save_dataset(touched_dataset(ratio, np.ones(8), places, **known), tmp_path / "presses")
     first, second = tmp_path / "first.eitmodel", tmp_path / "second.eitmodel"
     said = printed_json("adapt", "none", tmp_path / "presses", "--out", first)
     assert said["adaptation"]["mean_error_mm"] < 3.0
