@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from eitskin.training.joint.channel_faults import possible_faults
-from eitskin.training.joint.model_selection import fit_frame
+from eitskin.training.joint.model_selection import fit_plain
 from eitskin.training.joint.objective import TouchObjective
 from eitskin.training.joint.touch_search import TouchCandidates
 
@@ -60,8 +60,10 @@ def changed(objective, change):
     return replace(objective, combined=MEASUREMENTS.combine(change, 2.0, 0.0))
 
 
-def explained(objective, proposed=None):
-    return fit_frame(objective, candidates(objective.reference_deg), proposed, FAULTS)
+def explained(objective):
+    return (
+        fit_plain(objective, candidates(objective.reference_deg)).without_faults(FAULTS).complete()
+    )
 
 
 TOUCHES = {

@@ -16,7 +16,6 @@ from eitskin.training.joint.objective import (
     MapEstimate,
     levenberg_marquardt,
     misfit_sigma,
-    solution,
     whitening_matrix,
 )
 from eitskin.training.joint.touch_search import prune
@@ -131,28 +130,29 @@ class PossibleFaults:
         gram, on = shown.T @ shown, shown.T @ residual
         width = 2.0 * float(np.sum(np.log(np.diagonal(whitening))))
         nothing = float(residual @ residual) - width
-        least, every = nothing - worth, np.array([self.contacts], np.intp)
-        alternatives = [(self.sets[0], 1.0, 1)]
-        if len(self.contacts) > 1:  # all of them together gain more than any few
-            together = gram[np.ix_(self.contacts, self.contacts)] + np.eye(len(self.contacts))
-            most = float(on[self.contacts] @ solution(together, on[self.contacts]))
-            if most - 2.0 * FAULT_PRICE > least:
-                alternatives += [(sets, 1.0, sets.shape[1]) for sets in self.sets[1:]]
-            if ages and len(self.contacts) > MAX_CONTACTS and most - FAULT_PRICE > least:
-                alternatives += [(every, size, 1) for size in AGEING]
-        best, gain, stiffness = np.zeros(0, np.intp), -math.inf, 1.0
-        for sets, size, prices in alternatives:
-            if sets.shape[1] == 1:
-                information = 1.0 + np.diagonal(gram)[sets[:, 0]]
-                gains = on[sets[:, 0]] ** 2 / information - np.log(information)
-            else:
-                given = gram[sets[:, :, None], sets[:, None]] + np.eye(sets.shape[1]) / size**2
-                sizes = np.linalg.solve(given, on[sets][..., None])[..., 0]
-                gains = np.einsum("nk,nk->n", sizes, on[sets]) - np.linalg.slogdet(given)[1]
-                gains -= 2.0 * sets.shape[1] * math.log(size)
-            gains -= FAULT_PRICE * prices
+        least, every = nothing - worth, np.array(self.contacts, np.intp)
+        given = 1.0 + np.diagonal(gram)
+        gains = on**2 / given - np.log(given) - FAULT_PRICE
+        best, gain, stiffness = self.sets[0][gains.argmax()], float(gains.max()), 1.0
+        # All contacts together, by their principal changes, gain more than any few.
+        sizes, axes = np.linalg.eigh(gram[np.ix_(every, every)])
+        square = (on[every] @ axes) ** 2
+        most = float(np.sum(square / (1.0 + sizes)))
+        for sets in self.sets[1:] if most - 2.0 * FAULT_PRICE > least else ():
+            count = sets.shape[1]
+            several = gram[sets[:, :, None], sets[:, None]] + np.eye(count)
+            shares = np.linalg.solve(several, on[sets][..., None])[..., 0]
+            gains = np.einsum("nk,nk->n", shares, on[sets]) - np.linalg.slogdet(several)[1]
+            gains -= FAULT_PRICE * count
             if gains.max() > gain:
-                gain, best, stiffness = float(gains.max()), sets[int(gains.argmax())], size**-2
+                best, gain = sets[gains.argmax()], float(gains.max())
+        if ages and len(every) > MAX_CONTACTS and most - FAULT_PRICE > least:
+            variances = np.square(AGEING)[:, None]
+            gains = np.sum(square / (sizes + 1.0 / variances), axis=1) - FAULT_PRICE
+            gains -= np.sum(np.log1p(sizes * variances), axis=1)
+            if gains.max() > gain:
+                best, gain = every, float(gains.max())
+                stiffness = AGEING[int(gains.argmax())] ** -2
         if gain <= least:
             return None
         inverse = np.linalg.inv(gram[np.ix_(best, best)] + stiffness * np.eye(len(best)))

@@ -277,5 +277,7 @@ class SpecimenFeatures(StoredFields):
 
 def _without_common(logs: Array) -> Array:
     """Logarithms (..., C) minus their mean over the channels."""
-    departure: Array = logs - np.nanmean(logs, axis=-1, keepdims=True)
+    good = np.isfinite(logs)
+    total = np.where(good, logs, 0.0).sum(axis=-1, keepdims=True)
+    departure: Array = logs - total / np.maximum(good.sum(axis=-1, keepdims=True), 1)
     return departure

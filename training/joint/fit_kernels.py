@@ -116,7 +116,9 @@ def covariance(at: Point, frame: Frame, spread: Spread) -> Array:
         summed[:-1] += factor * hidden[t]
         summed[-1] += factor
         variance += (mismatch * each[t]) ** 2
-    latent = np.dot(latent_output.reshape(-1, len(summed)), summed).reshape(-1, size)
+    latent = np.zeros((0, size))
+    if count:
+        latent = np.dot(latent_output.reshape(-1, len(summed)), summed).reshape(-1, size)
     errors = np.zeros((1 + len(latent) + len(forward), size))
     for q in range(len(latent)):
         errors[1 + q] = latent[q]
@@ -172,27 +174,35 @@ def quadratic(at: Point, metric: Array, frame: Frame) -> tuple[Array, Array]:
     return products, white
 
 
-@either("f8[::1](f8[:,::1], f8[::1])", np.linalg.solve)
-def solve(matrix: Array, right: Array) -> Array:
-    """Solution of A x = b for a positive definite A (n, n), overwritten, and b (n,).
+def _library_whiten(covariance: Array, vectors: Array) -> tuple[Array, float]:
+    """`whiten` by the library."""
+    lower = np.linalg.cholesky(covariance)
+    width = float(np.log(np.diagonal(lower)).sum())
+    return np.linalg.solve(lower, vectors.T).T, width
 
-    The library's takes two seconds to compile.
+
+@either("Tuple((f8[:,::1], f8))(f8[:,::1], f8[:,::1])", _library_whiten)
+def whiten(covariance: Array, vectors: Array) -> tuple[Array, float]:
+    """Vectors (m, K) whitened by a covariance (K, K), and half the log of its determinant.
+
+    They are further rows of the Cholesky factor.
     """
-    x = right.copy()
-    for i in range(len(x)):
-        for j in range(i + 1, len(x)):
-            factor = matrix[i, j] / matrix[i, i]
-            x[j] -= factor * x[i]
-            for m in range(j, len(x)):
-                matrix[j, m] -= factor * matrix[i, m]
-    for i in range(len(x) - 1, -1, -1):
-        for j in range(i + 1, len(x)):
-            x[i] -= matrix[i, j] * x[j]
-        x[i] /= matrix[i, i]
-    return x
+    size, width = len(covariance), 0.0
+    rows = np.concatenate((covariance, vectors))
+    for i in range(len(rows)):
+        for j in range(min(i + 1, size)):
+            rest = rows[i, j]
+            for k in range(j):
+                rest -= rows[i, k] * rows[j, k]
+            rows[i, j] = math.sqrt(rest) if i == j else rest / rows[j, j]
+        if i < size:
+            width += math.log(rows[i, i])
+    return rows[size:].copy(), width
 
 
-@either("UniTuple(f8, 2)(f8[:,::1], f8[:,::1], f8[::1], f8[:,::1], f8, UniTuple(f8, 2))")
+@either(
+    "Tuple((f8, f8, f8[:,::1], f8))(f8[:,::1], f8[:,::1], f8[::1], f8[:,::1], f8, UniTuple(f8, 2))"
+)
 def score_angle(
     curve: Array,
     effects: Array,
@@ -200,11 +210,12 @@ def score_angle(
     noise: Array,
     angle: float,
     limits: tuple[float, float],
-) -> tuple[float, float]:
+) -> tuple[float, float, Array, float]:
     """Angle [deg] of an untouched frame, by Fisher scoring, and its information [1/deg2].
 
     Every step regresses the residual on the curve's slope, in the metric of the noise and of the
-    curve's own uncertainty at the present angle.
+    curve's own uncertainty at the present angle. Returned as well are the residual and the slope at
+    the last angle, whitened (2, K), and half the log determinant of that metric's covariance.
 
     Args:
         curve, effects: as in `SENSOR` and `SPREAD`.
@@ -213,19 +224,21 @@ def score_angle(
         angle: first angle.
         limits: least and largest angle [deg].
     """
-    information = 0.0
-    for _ in range(SCORING_STEPS):
-        u, residual, slope = angle / SCALE, change.copy(), np.zeros(len(change))
+    information, step, vectors = 0.0, math.inf, np.empty((2, len(change)))
+    white, width = vectors, 0.0
+    for number in range(SCORING_STEPS + 1):
+        u = angle / SCALE
+        vectors[0], vectors[1] = change, 0.0
         for p in range(len(curve)):
-            residual -= u ** (p + 1) * curve[p]
-            slope += (p + 1) * u**p / SCALE * curve[p]
-        weighted = solve(noise + curve_covariance(effects, u, 0.0), slope)
-        information = np.dot(weighted, slope)
-        step = np.dot(weighted, residual) / information
-        angle = min(max(angle + step, limits[0]), limits[1])
-        if abs(step) < SCORING_DEG:
+            vectors[0] -= u ** (p + 1) * curve[p]
+            vectors[1] += (p + 1) * u**p / SCALE * curve[p]
+        white, width = whiten(noise + curve_covariance(effects, u, 0.0), vectors)
+        if number == SCORING_STEPS or abs(step) < SCORING_DEG:
             break
-    return angle, information
+        information = np.dot(white[1], white[1])
+        step = np.dot(white[1], white[0]) / information
+        angle = min(max(angle + step, limits[0]), limits[1])
+    return angle, information, white, width
 
 
 @either(f"Tuple((f8[::1], f8))(f8[:,::1], f8[:,::1], {FRAME}, f8)")
@@ -252,11 +265,13 @@ def trust_step(products: Array, touches: Array, frame: Frame, radius: float) -> 
             i, at = 1 + 3 * t + a, touches[t, a]
             if (at <= box[2, a] and gradient[i] < 0) or (at >= box[3, a] and gradient[i] > 0):
                 gradient[i], held[i] = 0.0, BOUND_STIFFNESS
+    both = np.concatenate((gradient.reshape(1, -1), np.eye(len(step))))
     for damping in DAMPINGS:
         damped = products[1:, 1:].copy()
         for i in range(len(step)):
             damped[i, i] += damping * (1.0 + damped[i, i]) + held[i]
-        step = solve(damped, gradient)
+        white, _ = whiten(damped, both)
+        step = np.dot(white[1:], white[0])
         if np.abs(step).max() <= radius:
             break
     promised = 0.0

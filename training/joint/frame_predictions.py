@@ -87,7 +87,11 @@ def fit_problems(
     elif not count and fit.faint > FAINT_GAIN:
         problems.append("something may touch, too faintly to distinguish from noise in this frame")
     elif count and (
-        fit.wide or np.sum(pdist(fit.touches[:, :2]) < fit.estimate.objective.prior.separation) > 1
+        fit.wide
+        or (
+            count > 2
+            and np.sum(pdist(fit.touches[:, :2]) < fit.estimate.objective.prior.separation) > 1
+        )
     ):
         middle = fit.wide.centre if fit.wide else fit.touches[:, :2].mean(axis=0)
         x, y = 1e3 * middle

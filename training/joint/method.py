@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, field, replace
+from functools import cache
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -39,7 +40,7 @@ from eitskin.training.joint.frame_predictions import (
     own_error_scale,
     state_probabilities,
 )
-from eitskin.training.joint.model_selection import FrameFit, fit_frame
+from eitskin.training.joint.model_selection import FrameFit, PlainFit, fit_plain
 from eitskin.training.joint.networks import AngleNetworks, ProposalNetwork, network_inputs
 from eitskin.training.joint.objective import TOUCH_THRESHOLD, TouchObjective
 from eitskin.training.joint.specimen_model import (
@@ -235,8 +236,9 @@ class JointMethod(Method):
         static[[member for fault in frame_fit.faults for member in fault.members]] = np.nan
         if len(frame_fit.touches) and not frame_fit.faults:
             turn = MOVED_DEG * frame_fit.estimate.objective.curve.slope(reference.angle_deg)
-            faulty = specimen.faults.alone(change, turn[None], frame_fit.improbability + RIVAL)
-            if faulty and faulty.improbability < frame_fit.improbability:
+            improbability = frame_fit.estimate.whole_improbability
+            faulty = specimen.faults.alone(change, turn[None], improbability + RIVAL)
+            if faulty and faulty.improbability < improbability:
                 objective = replace(frame_fit.estimate.objective, combined=faulty.rest)
                 frame_fit = FrameFit.without_touches(objective, faulty.faults)
                 static -= change.measured - faulty.rest.measured
@@ -266,43 +268,39 @@ class JointMethod(Method):
     def _fit_likelier(
         self, change: CombinedChange, reference: AngleEstimate, specimen: SpecimenModel
     ) -> FrameFit:
-        """The fit to one frame by the response or, where that is likelier, by the other one."""
-        usual, rival = self._fit_frame(change, reference, specimen), specimen.other
-        if rival is None or not (usual.may_be_touched and usual.may_fit_better(rival.response)):
-            return usual
-        other = self._fit_frame(change, reference, rival)
-        return other if usual.improbability - other.improbability > -2.0 * OTHER_ODDS else usual
+        """The fit to one frame by the response or, where that is likelier, by the other one.
 
-    def _fit_frame(
-        self, change: CombinedChange, reference: AngleEstimate, specimen: SpecimenModel
-    ) -> FrameFit:
-        """The fit to one frame, with the bend curve that the reference shows or the frame itself.
-
-        A reference of the bent sensor shows whether that bends as usual. One of the flat sensor
-        does not: where the sensor has moved since, the likelier of both fits is taken.
+        With the bend curve that a reference of the bent sensor shows. Where the sensor has moved
+        since one of the flat sensor, with the likelier curve.
         """
-        angle_deg, proposed = reference.angle_deg, None
-        if self.touches:
+        angle_deg = reference.angle_deg
+
+        @cache
+        def propose() -> Array:
             deviation = np.sqrt(2.0) * self.combinations.unit
             inputs = network_inputs(change.change, deviation, angle_deg, specimen.features)
-            proposed = self.proposals.places(inputs, self.touch_prior.separation)
-        candidates = specimen.candidates(angle_deg, self.places)
+            return self.proposals.places(inputs, self.touch_prior.separation)
 
-        def fit(curve: BendCurve) -> FrameFit:
-            parts = (specimen.response, curve, self.touch_prior)
-            objective = TouchObjective(change, angle_deg, *parts)
-            return fit_frame(objective, candidates, proposed, specimen.faults)
+        usual, curve, other = specimen.usual, specimen.curve, specimen.other
+        if usual and angle_deg != 0.0 and reference.usual > 0.5:
+            curve = usual
 
-        if specimen.usual is None:
-            return fit(specimen.curve)
-        if angle_deg != 0.0:
-            return fit(specimen.usual if reference.usual > 0.5 else specimen.curve)
-        frame_fit = fit(specimen.curve)
-        if abs(frame_fit.angle_deg) < MOVED_DEG:
-            return frame_fit
-        usual = fit(specimen.usual)
-        gain = frame_fit.estimate.improbability - usual.estimate.improbability
-        return usual if gain > -2.0 * LOG_ODDS else frame_fit
+        def fit(model: SpecimenModel, curve: BendCurve) -> PlainFit:
+            objective = TouchObjective(change, angle_deg, model.response, curve, self.touch_prior)
+            candidates = model.candidates(angle_deg, self.places)
+            return fit_plain(objective, candidates, propose if self.touches else None)
+
+        likelier = fit(specimen, curve)
+        if usual and angle_deg == 0.0 and abs(likelier.best.at.angle_deg) >= MOVED_DEG:
+            rival = fit(specimen, usual)
+            if rival.best.beats(likelier.best, LOG_ODDS):
+                likelier, curve = rival, usual
+        likelier = likelier.without_faults(specimen.faults)
+        if other and likelier.may_be_touched and likelier.may_fit_better(other.response):
+            rival = fit(other, curve).without_faults(specimen.faults)
+            if rival.best.beats(likelier.best, OTHER_ODDS):
+                likelier = rival
+        return likelier.complete()
 
     def _prediction(
         self, fit: FrameFit, bend: AngleEstimate, specimen: SpecimenModel
@@ -347,19 +345,18 @@ class JointMethod(Method):
             if len(self._specimens) > 64:
                 self._specimens.clear()
             p, learned = self.features.clip(flat), self.calibrated is None
-            angle_features = self.angle_features.apply(flat) if self.angle_features else p
-            response, *others = self.responses(flat)
-            model = SpecimenModel(
+            shown = self.angle_features.apply(flat) if self.angle_features else p
+            features, own = self.features.apply(flat), self.own_output is not None
+            self._specimens[key] = SpecimenModel(
                 p,
-                response,
+                self.responses(flat)[0] if own else self.response.for_specimen(features),
                 self.calibrated or self.bend_prior.predict(p),
                 possible_faults(self.protocol, flat),
                 calibration_problems(flat, self.calibrated_flat),
-                (self.angles, angle_features) if self.angles and learned else None,
+                (self.angles, shown) if self.angles and learned else None,
                 self.usual.predict(p) if self.usual and learned else None,
+                None if own or not self.other_response else (self.other_response, features),
             )
-            model.other = replace(model, response=others[0]) if others else None
-            self._specimens[key] = model
         return self._specimens[key]
 
     def responses(self, flat: Array) -> list[SpecimenResponse]:

@@ -6,7 +6,9 @@ than chance would. A bar or disc that explains the frame about as well is a riva
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -48,6 +50,8 @@ from eitskin.training.joint.touch_search import (
 Array = NDArray[np.float64]
 Seen: TypeAlias = list[tuple[MapEstimate, MapEstimate]]
 """Estimates that fits came by, and those that they ended with."""
+Propose: TypeAlias = Callable[[], Array]
+"""Positions (k, 2) [m] that fits of touches start from, where these are wanted."""
 
 ANGLE_GRID = 15  # angles among which the initial one is chosen
 COARSE = (4, 0.5)  # as `FINE`, of fits that are continued
@@ -129,6 +133,7 @@ def _fit_contact(
     prior, residual = objective.prior, estimate.white[0]
     limit = float(residual @ residual) + ALLOWANCE[len(estimate.at.touches) - 2]
     units = np.concatenate([[ANGLE_UNIT], TOUCH_UNITS, np.full(len(size), SIZE_UNIT)])
+    across, eye = shape.reshape(2 * count, -1).T, np.eye(len(units))
 
     def rows(unknowns: Array) -> Array:
         points = unknowns[1:3] + shape @ unknowns[4:]
@@ -137,7 +142,7 @@ def _fit_contact(
         touches[:, 2] = unknowns[3]
         each = objective.linearise(Unknowns(touches, float(unknowns[0]))).rows
         by_point = each[2:].reshape(count, 3, -1)
-        by_size = np.tensordot(shape, by_point[:, :2], axes=((0, 1), (0, 1)))
+        by_size = across @ by_point[:, :2].reshape(2 * count, -1)
         return np.concatenate([each[:2], by_point.sum(axis=0), by_size]) @ estimate.whitening.T
 
     unknowns = np.array(
@@ -146,8 +151,7 @@ def _fit_contact(
     white, damping = rows(unknowns), DAMPING
     for _ in range(STEPS):
         products = white @ white.T
-        information = products[1:, 1:] * (1.0 + damping * np.eye(len(units)))
-        information += 1e-3 * np.eye(len(units))
+        information = products[1:, 1:] * (1.0 + damping * eye) + 1e-3 * eye
         step = solution(information, products[0, 1:])
         promised = float(step @ products[0, 1:])
         if promised < TOLERANCE or products[0, 0] - OPTIMISM * promised > limit:
@@ -225,23 +229,6 @@ class FrameFit:
         nothing = Unknowns(np.zeros((0, 3)), objective.reference_deg)
         return cls(levenberg_marquardt(objective, nothing, *FINE), 0.0, faults)
 
-    @property
-    def may_be_touched(self) -> bool:
-        """Whether the frame has touches, or may have, as by another response."""
-        poor = self.estimate.misfit_sigma > CHI2_HIGH_SIGMA
-        return bool(len(self.touches)) or poor or self.faint > HINT
-
-    def may_fit_better(self, response: SpecimenResponse) -> bool:
-        """Whether another response may be likelier, by its fit from where this one ended.
-
-        From touches that this one explains well, a response that does not hold is far away.
-        """
-        if not len(self.touches) or self.estimate.misfit_sigma > CHI2_HIGH_SIGMA:
-            return True
-        objective = replace(self.estimate.objective, response=response)
-        tried = levenberg_marquardt(objective, self.estimate.unknowns, *COARSE)
-        return tried.improbability < self.estimate.improbability + FAR
-
     def take_touches_out(self, change: CombinedChange) -> CombinedChange:
         """The change less that by the touches, whose errors count as noise."""
         touches, response = np.ascontiguousarray(self.touches), self.estimate.objective.response
@@ -257,67 +244,99 @@ class FrameFit:
         share: Array = odds / (1.0 + odds) * self.division[:, 1] ** 2
         return share
 
+
+@dataclass(frozen=True, eq=False)
+class PlainFit:
+    """Fit to one frame before divided touches and wide contacts are tried.
+
+    Attributes:
+        untouched: estimate without touches.
+        best: the best estimate.
+        evidence: decrease of the misfit by the first touch, even where that was rejected.
+        candidates: positions that are tried for further touches.
+        faults: whose measurements were left out.
+    """
+
+    untouched: MapEstimate
+    best: MapEstimate
+    evidence: float
+    candidates: TouchCandidates
+    faults: tuple[ChannelFault, ...] = ()
+
+    @cached_property
+    def faint(self) -> float:
+        """Decrease of the misfit by one more touch, to first order."""
+        return float(further_touches(self.best, self.candidates)[1].max(initial=0.0))
+
     @property
-    def improbability(self) -> float:
-        """That of the estimate, with what no combination of measurements has."""
-        residual = self.estimate.whole[0]
-        return self.estimate.improbability + float(residual @ residual)
+    def may_be_touched(self) -> bool:
+        """Whether the frame has touches, or may have, as by another response."""
+        poor = self.best.misfit_sigma > CHI2_HIGH_SIGMA
+        return bool(len(self.best.at.touches)) or poor or self.faint > HINT
+
+    def may_fit_better(self, response: SpecimenResponse) -> bool:
+        """Whether another response may be likelier, by its fit from where this one ended.
+
+        From touches that this one explains well, a response that does not hold is far away.
+        """
+        if not len(self.best.at.touches) or self.best.misfit_sigma > CHI2_HIGH_SIGMA:
+            return True
+        objective = replace(self.best.objective, response=response)
+        tried = levenberg_marquardt(objective, self.best.unknowns, *COARSE)
+        return tried.improbability < self.best.improbability + FAR
+
+    def without_faults(self, possible: PossibleFaults) -> "PlainFit":
+        """The fit without the measurements of those `possible` faults that explain more."""
+        fit = self
+        if fault := gross_fault(self.untouched, self.best, possible):
+            fewer = self.best.objective.combined.drop(fault.members)
+            again = fit_plain(replace(self.best.objective, combined=fewer), self.candidates)
+            if again.best.whole_sigma < ACCEPTED_SIGMA:
+                fit = replace(again, faults=(fault,))
+        while len(fit.faults) < MAX_FAULTS:
+            better = fit_with_fault(fit.untouched, fit.best, possible)
+            if better is None:
+                break
+            fault, best = better
+            untouched = levenberg_marquardt(best.objective, fit.untouched.unknowns, *FINE)
+            evidence, faults = best.misfit_decrease(untouched), (*fit.faults, fault)
+            fit = PlainFit(untouched, best, evidence, self.candidates, faults)
+        return fit
+
+    def complete(self) -> FrameFit:
+        """The fit with divided touches, and a wide contact in place of touches."""
+        best, faint = self.best, 0.0 if len(self.best.at.touches) else self.faint
+        division = divisions(best, self.candidates)
+        return FrameFit(best, self.evidence, self.faults, "", faint, division, wide_rival(best))
 
 
-def fit_frame(
-    objective: TouchObjective,
-    candidates: TouchCandidates,
-    proposed: Array | None = None,
-    possible: PossibleFaults | None = None,
-) -> FrameFit:
+def fit_plain(
+    objective: TouchObjective, candidates: TouchCandidates, propose: Propose | None = None
+) -> PlainFit:
     """Select the number of touches and estimate bend and touches of one frame.
 
-    Args:
-        objective: objective of the frame.
-        candidates: positions that are tried for further touches.
-        proposed: positions (k, 2) [m] from which the fit starts.
-        possible: faults that are considered; none by default.
-    """
-    untouched, best_fit, evidence = _likeliest(objective, candidates, proposed)
-    faults: list[ChannelFault] = []
-    if possible and (fault := gross_fault(untouched, best_fit, possible)):
-        fewer = replace(objective, combined=objective.combined.drop(fault.members))
-        again = _likeliest(fewer, candidates, None)
-        if again[1].whole_sigma < ACCEPTED_SIGMA:
-            (untouched, best_fit, evidence), faults = again, [fault]
-    while possible and len(faults) < MAX_FAULTS:
-        better = fit_with_fault(untouched, best_fit, possible)
-        if better is None:
-            break
-        fault, best_fit = better
-        faults.append(fault)
-        untouched = levenberg_marquardt(best_fit.objective, untouched.unknowns, *FINE)
-        evidence = best_fit.misfit_decrease(untouched)
-    faint = 0.0
-    if not len(best_fit.at.touches):
-        faint = float(further_touches(best_fit, candidates)[1].max(initial=0.0))
-    division = divisions(best_fit, candidates)
-    return FrameFit(best_fit, evidence, tuple(faults), "", faint, division, wide_rival(best_fit))
-
-
-def _likeliest(
-    objective: TouchObjective, candidates: TouchCandidates, proposed: Array | None
-) -> tuple[MapEstimate, MapEstimate, float]:
-    """The estimate without touches, the best one, and the evidence of any touch.
+    Where the frame is explained without touches, and none is hinted at, none is tried.
 
     Touches that look like a large bend draw the fit far away, where the bend curve is uncertain
     and nothing leads back. So a fit that ends far from the reference, or explains the frame badly,
     is begun again at the reference's angle: a fit that explains the frame is better than one that
     does not, else the likelier one is. The likeliest of several such starts is fitted to the end,
     and only where it leads elsewhere.
+
+    Args:
+        objective: objective of the frame.
+        candidates: positions that are tried for further touches.
+        propose: positions from which the fit starts; none by default.
     """
     nothing = Unknowns(np.zeros((0, 3)), _initial_angle(objective))
     untouched = levenberg_marquardt(objective, nothing, *FINE)
+    plain = PlainFit(untouched, untouched, 0.0, candidates)
+    if not _may_gain(untouched) and plain.faint <= HINT:
+        return plain
 
     def proposal(at: Linearisation) -> list[Unknowns]:
-        if proposed is None or not len(proposed):
-            return []
-        return [initial_touches(objective, proposed, at)]
+        places = propose() if propose else np.zeros((0, 2))
+        return [initial_touches(objective, places, at)] if len(places) else []
 
     def minimise_from(start: Unknowns) -> MapEstimate:
         return levenberg_marquardt(objective, start, *COARSE)
@@ -328,19 +347,20 @@ def _likeliest(
     moved = abs(best_fit.at.angle_deg - objective.reference_deg)
     least = NEAR_DEG if best_fit.misfit_sigma > CHI2_HIGH_SIGMA else FAR_DEG
     if not len(best_fit.at.touches) or moved < least:
-        return untouched, best_fit, evidence
+        return PlainFit(untouched, best_fit, evidence, candidates)
     still = objective.reference_deg
     starts = [best_fit.unknowns._replace(angle_deg=still)]
     starts += proposal(objective.linearise(nothing._replace(angle_deg=still)))
     begun = [each for each in map(minimise_from, starts) if _earlier_minimum(each, fits) is None]
     if not begun:
-        return untouched, best_fit, evidence
+        return PlainFit(untouched, best_fit, evidence, candidates)
     again, _ = _fit(candidates, untouched, min(begun, key=lambda trial: trial.improbability), fits)
     best = min(
         (best_fit, again),
         key=lambda trial: (trial.misfit_sigma > CHI2_HIGH_SIGMA, trial.improbability),
     )
-    return untouched, best, evidence if best is best_fit else best.misfit_decrease(untouched)
+    evidence = evidence if best is best_fit else best.misfit_decrease(untouched)
+    return PlainFit(untouched, best, evidence, candidates)
 
 
 def _fit(

@@ -8,7 +8,7 @@ calibrated; the curve of a calibrated one is known better than that.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +26,7 @@ DRIFT = (1e-4, 0.1)
 """Bounds of the standard deviation of the common change, from one of seconds to one of days."""
 FEATURE_LIMIT = 4.0  # standard deviations; features of stranger sensors count as so strange
 Single = NDArray[np.float32]
+Layers: TypeAlias = tuple[tuple[Single, Single], ...]
 
 THRESHOLD = 0.08  # least value of a cell from which a touch is proposed
 WIDTH = 0.004  # m, standard deviation of the bump that represents a touch in the target map
@@ -58,6 +59,11 @@ class AngleNetworks(StoredFields):
     drift: Array
     filter: Array
     angle_deg: tuple[float, float]
+    _layers: Layers = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Round the layers as they are saved."""
+        object.__setattr__(self, "_layers", _single_layers(self.weights, self.biases))
 
     def inputs(self, change: Array, features: Array, drift: Array) -> Array:
         """Inputs (..., K + P + 1).
@@ -78,7 +84,8 @@ class AngleNetworks(StoredFields):
         The angle is at most `BEYOND_DEG` outside of those learned from, as that of a bend curve.
         """
         values = self.inputs(change, features, np.array(drift))
-        means, logs = dense_network(zip(self.weights, self.biases, strict=True), values).T
+        outputs = dense_network(self._layers, values.astype(np.float32))
+        means, logs = outputs.astype(float).T
         variance = np.mean(np.exp(2.0 * np.clip(logs, *LOG_DEVIATION)))
         variance += (len(means) - 1) * np.var(means)
         low, high = self.angle_deg
@@ -101,13 +108,11 @@ class ProposalNetwork(StoredFields):
     columns: Array
     rows: Array
     _centres: Array = field(init=False, repr=False)  # x, y of all cells (rows x columns, 2) [m]
-    _layers: tuple[tuple[Single, Single], ...] = field(init=False, repr=False)
+    _layers: Layers = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Compute the centres of the cells, and round the layers as they are saved."""
-        layers = zip(self.weights, self.biases, strict=True)
-        single = tuple((w.astype(np.float32), b.astype(np.float32)) for w, b in layers)
-        object.__setattr__(self, "_layers", single)
+        object.__setattr__(self, "_layers", _single_layers(self.weights, self.biases))
         x, y = np.meshgrid(self.columns, self.rows)
         object.__setattr__(self, "_centres", np.column_stack([x.ravel(), y.ravel()]))
 
@@ -133,6 +138,12 @@ class ProposalNetwork(StoredFields):
             found.append(around @ self._centres / around.sum())
             remaining[square < (0.6 * separation) ** 2] = 0.0
         return np.array(found).reshape(-1, 2)
+
+
+def _single_layers(weights: tuple[Array, ...], biases: tuple[Array, ...]) -> Layers:
+    """Weights and biases of each layer in single precision."""
+    layers = zip(weights, biases, strict=True)
+    return tuple((w.astype(np.float32), b.astype(np.float32)) for w, b in layers)
 
 
 def without_drift(change: Any, variance: Any, drift: Any, filter_: Any) -> Any:

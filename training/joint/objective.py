@@ -297,6 +297,16 @@ class MapEstimate:
         return self.objective.misfit(self.at, whitening) - width + price(len(self.at.touches))
 
     @cached_property
+    def whole_improbability(self) -> float:
+        """The same, with the remainder."""
+        remainder = self.whole[0]
+        return self.improbability + float(remainder @ remainder)
+
+    def beats(self, first: "MapEstimate", log_odds: float) -> bool:
+        """Whether it is likelier than a first one, at odds before both are seen."""
+        return first.whole_improbability - self.whole_improbability > -2.0 * log_odds
+
+    @cached_property
     def gains(self) -> Array:
         """Rise of the misfit, to second order, were each touch's force zero (k,)."""
         variance = np.diagonal(inverse(self.hessian))

@@ -6,6 +6,7 @@ and networks, where there are some. `SpecimenModel.angle` combines them.
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +24,12 @@ from eitskin.training.joint.channel_faults import (
 from eitskin.training.joint.combinations import CombinedChange
 from eitskin.training.joint.networks import AngleNetworks
 from eitskin.training.joint.objective import KERNELS, misfit_sigma, solution, whitening_matrix
-from eitskin.training.joint.touch_response import SpecimenResponse
+from eitskin.training.joint.touch_response import SpecimenResponse, TouchResponse
 from eitskin.training.joint.touch_search import TouchCandidates
 
 Array = NDArray[np.float64]
 
-GRID = 36  # angles among which the initial one is chosen
+GRID, COARSE_GRID = 36, 18  # angles among which the initial one is chosen, or another
 POSTERIOR_STEP_DEG = 1.0  # of the angles over which posteriors are summed
 DECAY_DEG = 1.0  # beyond the angles learned, in which the prior falls by a factor of e
 NORMAL_DEG = 0.4
@@ -99,20 +100,26 @@ def estimate_angle(
         noise: covariance of the change (K, K), without the curve's uncertainty.
         start_deg: first angle of the search [deg]; the best of a grid in the metric of the noise.
     """
+    angle, information, _, _ = _score_angle(curve, change, noise, start_deg)
+    return angle, 1.0 / math.sqrt(information)
+
+
+def _score_angle(
+    curve: BendCurve, change: Array, noise: Array, start_deg: float | None
+) -> tuple[float, float, Array, float]:
+    """`score_angle` of the kernels from an angle or the best of a grid."""
+    kernels, change = implementation(KERNELS), np.ascontiguousarray(change)
+    noise = np.ascontiguousarray(noise)
     if start_deg is None:
         angles, values = curve.grid(GRID)
-        white = (change - values) @ whitening_matrix(noise).T
+        white, _ = kernels.whiten(noise, change - values)
         start_deg = float(angles[np.einsum("ij,ij->i", white, white).argmin()])
     low, high = curve.angle_deg
-    angle, information = implementation(KERNELS).score_angle(
-        curve.coefficients,
-        curve.blocks,
-        np.ascontiguousarray(change),
-        np.ascontiguousarray(noise),
-        start_deg,
-        (low - BEYOND_DEG, high + BEYOND_DEG),
+    limits = low - BEYOND_DEG, high + BEYOND_DEG
+    scored: tuple[float, float, Array, float] = kernels.score_angle(
+        curve.coefficients, curve.blocks, change, noise, start_deg, limits
     )
-    return angle, 1.0 / math.sqrt(information)
+    return scored
 
 
 def angle_standard_error(curve: BendCurve, angle_deg: float, noise: Array) -> float:
@@ -149,21 +156,21 @@ def robust_angle(
     """
     faults: tuple[ChannelFault, ...] = ()
     while True:
-        estimate, residual, whitening = _estimate(curve, combined)
+        estimate, residual, slope = _estimate(curve, combined)
         if estimate.misfit_sigma >= SUSPICIOUS_SIGMA:  # perhaps at a local minimum
-            angles, _ = curve.grid(GRID)
+            angles, _ = curve.grid(COARSE_GRID)
             densities = grid_log_densities(curve, angles, combined.change, combined.noise)
             start = float(angles[densities.argmax()])
             if abs(start - estimate.angle_deg) > angles[1] - angles[0]:
                 again = _estimate(curve, combined, start)
                 if again[0].log_evidence > estimate.log_evidence:
-                    estimate, residual, whitening = again
+                    estimate, residual, slope = again
         estimate = replace(estimate, faults=faults)
         if estimate.misfit_sigma < SUSPICIOUS_SIGMA or len(faults) == MAX_FAULTS:
             return estimate
         scale = math.sqrt(combined.frames)
-        jacobian = (whitening @ curve.slope(estimate.angle_deg))[:, None]
-        fault, gain = possible.likeliest(combined, whitening, scale, residual, jacobian)
+        whitening = whitening_matrix(combined.noise + curve.uncertainty(estimate.angle_deg))
+        fault, gain = possible.likeliest(combined, whitening, scale, residual, slope[:, None])
         fewer = combined.drop(fault.members)
         if gain < FAULT_THRESHOLD or fewer.count < len(fewer.good) // 2:
             return estimate
@@ -173,16 +180,16 @@ def robust_angle(
 def _estimate(
     curve: BendCurve, combined: CombinedChange, start_deg: float | None = None
 ) -> tuple[AngleEstimate, Array, Array]:
-    """`estimate_angle` with its misfit, the whitened residual, and its metric (K, K)."""
-    angle, deviation = estimate_angle(curve, combined.change, combined.noise, start_deg)
-    whitening = whitening_matrix(combined.noise + curve.uncertainty(angle))
-    scaled_residual = combined.rest / math.sqrt(combined.frames)
-    residual = np.concatenate([whitening @ (combined.change - curve.value(angle)), scaled_residual])
+    """`estimate_angle` with its misfit, and the residual and the curve's slope (K,) whitened."""
+    angle, information, (residual, slope), width = _score_angle(
+        curve, combined.change, combined.noise, start_deg
+    )
+    deviation = 1.0 / math.sqrt(information)
+    residual = np.concatenate([residual, combined.rest / math.sqrt(combined.frames)])
     misfit = float(residual @ residual)
-    width = 2.0 * float(np.sum(np.log(np.diagonal(whitening))))
-    evidence = 0.5 * (width - misfit) + math.log(deviation)
+    evidence = math.log(deviation) - width - 0.5 * misfit
     sigma = misfit_sigma(misfit, combined.count - 1)
-    return AngleEstimate(angle, deviation, sigma, (), evidence), residual, whitening
+    return AngleEstimate(angle, deviation, sigma, (), evidence), residual, slope
 
 
 def mixture_moments(
@@ -242,7 +249,7 @@ def posterior_angle(
     return replace(likeliest, angle_deg=mean, deviation_deg=max(spread, NORMAL_DEG))
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(eq=False)
 class SpecimenModel:
     """The learned model for one specimen.
 
@@ -255,8 +262,8 @@ class SpecimenModel:
         networks: networks of the angle, with the features that they are given; None without.
         usual: bend curve, should the specimen bend as usual; None where nothing is usual or the
             curve is known.
-        other: the model with another response, as of touches on plates; None where none was learned
-            or the response is known.
+        second: another response that it may have, as to touches on plates, and the features that
+            this is given; None where none was learned or the response is known.
     """
 
     features: Array
@@ -266,9 +273,17 @@ class SpecimenModel:
     problems: tuple[str, ...] = ()
     networks: tuple[AngleNetworks, Array] | None = None
     usual: BendCurve | None = None
-    other: "SpecimenModel | None" = None
+    second: tuple[TouchResponse, Array] | None = None
     _angles: dict[bytes, AngleEstimate] = field(default_factory=dict, init=False)
     _candidates: dict[int, TouchCandidates] = field(default_factory=dict, init=False)
+
+    @cached_property
+    def other(self) -> "SpecimenModel | None":
+        """The model with the other response, if there is one."""
+        if self.second is None:
+            return None
+        response, features = self.second
+        return replace(self, response=response.for_specimen(features), second=None)
 
     def angle(self, combined: CombinedChange) -> AngleEstimate:
         """Bend angle of an untouched frame by its change from the flat sensor.

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +37,7 @@ USUAL_SIGMA = 2.0  # largest misfit that chance makes, above its expectation
 PRUNING_LIMIT = 3.0  # times the threshold: gain, to second order, below which a touch is questioned
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class TouchCandidates:
     """Positions that are tried for a further touch, and the effect of a touch there.
 
@@ -50,6 +51,12 @@ class TouchCandidates:
     force: float
     change: Array
 
+    @cached_property
+    def pair_distances(self) -> Array:
+        """Distances (m, m) [m] of those that may be one of a pair."""
+        distances: Array = cdist(self.places[::PAIR_STRIDE], self.places[::PAIR_STRIDE])
+        return distances
+
 
 def initial_touches(objective: TouchObjective, places: Array, untouched: Linearisation) -> Unknowns:
     """Touches at `places` (k, 2) [m] with the forces of a linear ridge regression."""
@@ -58,7 +65,7 @@ def initial_touches(objective: TouchObjective, places: Array, untouched: Lineari
     touches = np.empty((len(places), 3))
     touches[:, :2], touches[:, 2] = places, mean
     whitening = objective.whitening(untouched)
-    shapes = objective.response(touches, angle_deg) @ whitening.T
+    shapes = objective.linearise(Unknowns(touches, angle_deg)).changes @ whitening.T
     ridge = (mean / deviation) ** 2
     projections = shapes @ (whitening @ untouched.residual) + ridge
     share = solution(shapes @ shapes.T + ridge * np.eye(len(places)), projections)
@@ -108,7 +115,7 @@ def pair_starts(
     """
     objective = estimate.objective
     places, change = (each[::PAIR_STRIDE] for each in (candidates.places, candidates.change))
-    apart = cdist(places, places) > objective.prior.separation
+    apart = candidates.pair_distances > objective.prior.separation
     shapes = change @ estimate.whitening.T
     gram = shapes @ shapes.T
     limits = objective.prior.low[2], objective.prior.high[2]

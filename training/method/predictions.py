@@ -239,6 +239,8 @@ class Predictions:
         """Concatenate the frames of all parts, at least one, in their order."""
         if not parts:
             raise ConfigurationError("parts: expected at least one, got none")
+        if len(parts) == 1:
+            return parts[0]
         joined = {
             name: np.concatenate([getattr(part, name) for part in parts])
             for name in ("probabilities", "bend_angle_deg", "bend_deviation_deg", "touch_map")

@@ -111,7 +111,7 @@ def _shorth_median(off: Array) -> float:
         return 0.0
     half = (len(values) + 1) // 2
     first = int(np.argmin(values[half - 1 :] - values[: len(values) - half + 1]))
-    return float(np.median(values[first : first + half]))
+    return float(values[first + (half - 1) // 2] + values[first + half // 2]) / 2.0
 
 
 def _good(values: Array, status: NDArray[np.uint8]) -> Array:

@@ -178,6 +178,9 @@ class Session:
         """
         reference = self.bend
         change = relative_difference(voltages, reference)
+        if not (change < -1.0).any():
+            self._reversed = np.zeros(0, np.intp)
+            return voltages
         finite = np.isfinite(change)
         size = np.abs(reference)
         large = size > SMALL_MAGNITUDE_SHARE * np.median(size[finite]) if finite.any() else finite

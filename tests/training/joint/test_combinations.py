@@ -15,7 +15,7 @@ from eitskin.training.joint.combinations import (
     Combinations,
     SpecimenFeatures,
 )
-from eitskin.training.joint.model_selection import fit_frame
+from eitskin.training.joint.model_selection import fit_plain
 from eitskin.training.joint.objective import TouchObjective
 from eitskin.training.joint.touch_search import TouchCandidates
 from eitskin.training.method.input_spec import mirrors
@@ -68,7 +68,8 @@ def fitted(combinations, change, mismatch=0.0):
         combinations.combine(change, 2.0, 1e-8), 15.0, specimen, bend, TOUCH_PRIOR
     )
     faults = possible_faults(PROTOCOL, FLAT)
-    return fit_frame(objective, candidates, TOUCHES[:, :2] + 0.003, faults)
+    plain = fit_plain(objective, candidates, lambda: TOUCHES[:, :2] + 0.003)
+    return plain.without_faults(faults).complete()
 
 
 def assert_same(one, other):

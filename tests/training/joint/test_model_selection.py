@@ -26,7 +26,7 @@ from eitskin.training.joint.frame_predictions import (
     disc_map,
     own_error_scale,
 )
-from eitskin.training.joint.model_selection import fit_frame
+from eitskin.training.joint.model_selection import fit_plain
 from eitskin.training.joint.objective import Unknowns
 from eitskin.training.joint.touch_search import TOUCH_THRESHOLD, TouchCandidates
 
@@ -128,7 +128,7 @@ def test_noise_alone_is_no_touch(share):
     alarms = 0
     for angle in np.tile([0.0, 20.0], 100):
         objective = replace(frame((), angle, angle, rng), response=weak)
-        alarms += len(fit_frame(objective, tried, None, FAULTS).touches) > 0
+        alarms += len(fit_plain(objective, tried).without_faults(FAULTS).complete().touches) > 0
     assert alarms < 2
 
 
@@ -137,7 +137,7 @@ def test_weak_touches_are_found_and_errors_beyond_the_model_are_none():
     weak, tried = faint(0.05)
     whole = weak(np.array(TOUCHES[1]), 0.0)[0]
     for share, count in ((0.2, 0), (1.5, 1)):
-        said = fit_frame(replace(changed(frame(), share * whole), response=weak), tried)
+        said = fit_plain(replace(changed(frame(), share * whole), response=weak), tried).complete()
         assert len(said.touches) == count
         assert (said.evidence > TOUCH_THRESHOLD) == (count > 0)
     rng = np.random.default_rng(13)

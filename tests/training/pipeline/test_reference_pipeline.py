@@ -14,8 +14,8 @@ from eitskin.errors import DataError, FrameError
 from eitskin.geometry import Bend, Clamp, Plates, SensorDesign
 from eitskin.simulator import Frame, Instrument, Protocol, Scene, Simulator, Touch
 from eitskin.training import FrameLabel, Pipeline, TouchLabel
-from eitskin.training.joint.method import JointMethod
-from eitskin.training.joint.model_selection import FrameFit
+from eitskin.training.joint import method as joint
+from eitskin.training.joint.model_selection import PlainFit, fit_plain
 
 pytestmark = pytest.mark.slow
 
@@ -89,13 +89,11 @@ def test_touches_on_plates_are_found_and_no_others(angle_deg):
 
 def test_the_response_on_plates_is_fitted_only_where_it_may_hold(simulator, monkeypatch):
     """Estimates are those of both fits; most touches on a base need one."""
-    fit_frame, fits, places = JointMethod._fit_frame, [], []
-    monkeypatch.setattr(
-        JointMethod, "_fit_frame", lambda *given: fits.append(1) or fit_frame(*given)
-    )
+    fits, places = [], []
+    monkeypatch.setattr(joint, "fit_plain", lambda *given: fits.append(1) or fit_plain(*given))
     for weighs_both in (False, True):
         if weighs_both:
-            monkeypatch.setattr(FrameFit, "may_fit_better", lambda *_: True)
+            monkeypatch.setattr(PlainFit, "may_fit_better", lambda *_: True)
         session = Session(simulator)
         touched = Scene(touches=(Touch(0.05, 0.02, 8.0), Touch(0.11, 0.04, 6.0)))
         estimates = list(map(session, [Scene()] * 4 + [touched, Scene()] * 4))
