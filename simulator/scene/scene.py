@@ -112,7 +112,7 @@ class PressedTouch:
             distances (docs/results/simulator.md) and with that of the mesh of "fast". 95 of 100
             presses stay below it in the middle of a flat rigid base (32 compared) and on a polygon
             (41); it is above all that were compared near sides and in corners (8), on plates (8)
-            and over gaps (3). None nearer to an edge or deeper than any comparison, with thinner
+            and over gaps (5). None nearer to an edge or deeper than any comparison, with thinner
             covers, other ratios of moduli or smaller indenters than any, next to re-entrant
             corners, on other outlines, and on a sensor rolled, twisted or bent otherwise later.
         caution: why the dent is less exact than a single one in the middle of the sensor; empty
