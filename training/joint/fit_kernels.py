@@ -9,6 +9,7 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from eitskin.compiled import either
 from eitskin.training.joint.mirrored_frames import SCALE
@@ -176,9 +177,11 @@ def quadratic(at: Point, metric: Array, frame: Frame) -> tuple[Array, Array]:
 
 def _library_whiten(covariance: Array, vectors: Array) -> tuple[Array, float]:
     """`whiten` by the library."""
-    lower = np.linalg.cholesky(covariance)
-    width = float(np.log(np.diagonal(lower)).sum())
-    return np.linalg.solve(lower, vectors.T).T, width
+    lower, failed = lapack.dpotrf(covariance, lower=1)
+    if failed:
+        raise np.linalg.LinAlgError(f"minor {failed} of a covariance is not positive")
+    white: Array = lapack.dtrtrs(lower, vectors.T, lower=1)[0].T
+    return white, float(np.log(lower.diagonal()).sum())
 
 
 @either("Tuple((f8[:,::1], f8))(f8[:,::1], f8[:,::1])", _library_whiten)

@@ -29,7 +29,7 @@ from eitskin.training.joint.touch_search import TouchCandidates
 
 Array = NDArray[np.float64]
 
-GRID, COARSE_GRID = 36, 18  # angles among which the initial one is chosen, or another
+GRID = 36  # angles among which the initial one is chosen
 POSTERIOR_STEP_DEG = 1.0  # of the angles over which posteriors are summed
 DECAY_DEG = 1.0  # beyond the angles learned, in which the prior falls by a factor of e
 NORMAL_DEG = 0.4
@@ -158,7 +158,7 @@ def robust_angle(
     while True:
         estimate, residual, slope = _estimate(curve, combined)
         if estimate.misfit_sigma >= SUSPICIOUS_SIGMA:  # perhaps at a local minimum
-            angles, _ = curve.grid(COARSE_GRID)
+            angles, _ = curve.grid(GRID)
             densities = grid_log_densities(curve, angles, combined.change, combined.noise)
             start = float(angles[densities.argmax()])
             if abs(start - estimate.angle_deg) > angles[1] - angles[0]:
