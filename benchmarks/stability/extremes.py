@@ -45,8 +45,8 @@ _UNSTATED = 0.10  # error that is right where the simulator states none
 def extremes(quick: bool) -> Iterator[Case]:
     """Cases of a press each on a small sensor, and on the reference sensor bent by its plates.
 
-    Covers, moduli and indenters are extreme singly and together; with all three at once no press
-    was ever compared, and each is refused.
+    Covers, moduli and indenters are extreme singly and together. With all three at once no press
+    was ever compared, and each is refused, as is a thin cover that is much stiffer than the gel.
     """
     modulus, mechanics = Mechanics().gel.shear_modulus, Mechanics()
     thin = dataclasses.replace(_SENSOR, encapsulated_thickness=0.0056)
@@ -73,7 +73,7 @@ def extremes(quick: bool) -> Iterator[Case]:
         if quick and name != "cover of 0.3 mm":
             continue
         solve = partial(_compare, design, materials, Scene(touches=(touch,)))
-        if name.count(",") == 2:
+        if name.count(",") == 2 or (design is thin and materials is stiff):
             yield Case(name, solve, "refused", "was ever compared")
         else:
             yield Case(name, solve, None, error_limit=_UNSTATED)

@@ -53,6 +53,8 @@ _MAX_RELATIVE_DEPTH = 0.55
 # Ratios of cover to gel, in thickness and in shear modulus, and radii of indenters [m] to which
 # presses were compared. On a cover of 0.3 mm they are 5 % off a finer solution.
 _MIN_COVER, _MODULI, _MIN_RADIUS = 1.0 / 3.0, (1.0 / 3.0, 3.0), 0.003
+# Thickness and modulus of a cover over the gel's from which presses are 11 % off a finer solution.
+_MEMBRANE = (0.1, 50.0)
 _ALIKE = 1e-6  # relative difference of values that count as equal
 # Extent over the width of a footprint whose edges cross the mesh: one of 2.7 came 6 % deeper turned
 # by 30 degrees than straight.
@@ -295,11 +297,16 @@ def _evaluate(
 def require_model(touches: tuple[Touch, ...], sensor: PressedSensor) -> None:
     """Raise ConfigurationError for tables of touches whose corrections cannot be tabulated.
 
-    So do touches of which neither cover nor moduli nor indenter is like any compared.
+    So do touches of which neither cover nor moduli nor indenter is like any compared, and those on
+    a cover that is thin and much stiffer than the gel.
     """
+    design, mechanics = sensor.design, sensor.mechanics
+    cover = 0.5 * (design.encapsulated_thickness / design.thickness - 1.0)
+    stiffness = mechanics.encapsulation.shear_modulus / mechanics.gel.shear_modulus
+    is_membrane = 0.0 < cover < _MEMBRANE[0] and stiffness > _MEMBRANE[1]
     for touch in touches:
         reasons = uncompared_properties(touch.indenter, sensor)
-        if len(reasons) > 2:  # beyond all three properties at once
+        if is_membrane or len(reasons) > 2:  # beyond all three properties at once
             raise ConfigurationError(
                 f"no press was ever compared that is like this one: {'; '.join(reasons)}. Bring "
                 "one of these within what was compared"

@@ -122,9 +122,9 @@ def test_extreme_sizes_contrasts_and_contacts_have_their_closed_forms_or_are_ref
     assert row["outcome"] in ("ok", "refused"), row["reason"]
 
 
-def test_presses_extreme_in_all_ways_are_refused_with_what_was_compared():
+def test_presses_extreme_in_too_many_ways_are_refused_with_what_was_compared():
     refused = [e for e in extremes.extremes(quick=False) if e.expected == "refused"]
-    assert len(refused) == 2
+    assert len(refused) == 3
     for case in refused:
         row = judge(case)
         assert (row["outcome"], "0.33 or more" in row["reason"]) == ("refused", True)

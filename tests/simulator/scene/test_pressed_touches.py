@@ -326,8 +326,14 @@ def test_no_error_is_stated_for_stacks_and_indenters_beyond_those_compared(
 
 def test_a_touch_that_is_like_none_compared_is_refused():
     design = dataclasses.replace(DESIGN, encapsulated_thickness=0.0056)
-    around = NeoHookean(100.0 * Mechanics().gel.shear_modulus)
-    sensor = PressedSensor(design, Mechanics(encapsulation=around))
-    require_model((Touch(X, Y, 0.2),), sensor)
+    stiff, stiffer = (
+        PressedSensor(
+            design, Mechanics(encapsulation=NeoHookean(k * Mechanics().gel.shear_modulus))
+        )
+        for k in (10.0, 100.0)
+    )
+    require_model((Touch(X, Y, 0.2),), stiff)
     with pytest.raises(ConfigurationError, match=r"0\.33 or .*0\.33 to 3 .*3 mm or"):
-        require_model((Touch(X, Y, 0.2, Sphere(0.001)),), sensor)
+        require_model((Touch(X, Y, 0.2, Sphere(0.001)),), stiff)
+    with pytest.raises(ConfigurationError, match=r"0\.33 or .*0\.33 to 3 was compared\. Bring"):
+        require_model((Touch(X, Y, 0.2),), stiffer)
