@@ -381,6 +381,19 @@ def run_all(
             yield CompletedBenchmark(each.name, outcome, why, time.perf_counter() - began)
 
 
+def peak_memory_mb() -> float:
+    """Most memory [MB] that this process has used.
+
+    Without what the parent had used when it began, which `getrusage` counts on Linux.
+    """
+    status = Path("/proc/self/status")
+    if status.is_file():
+        return float(status.read_text(encoding="ascii").partition("VmHWM:")[2].split()[0]) / 1e3
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+
+
 def run_process(command: Sequence[str]) -> int:
     """Run a command until it ends."""
     return subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode  # noqa: S603

@@ -11,7 +11,6 @@ take; frames per second and memory of making a dataset; the time of a frame in t
 import dataclasses
 import itertools
 import multiprocessing
-import resource
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -39,6 +38,7 @@ from eitskin.benchmarks.results import (
     ReportTable,
     Watch,
     make_results,
+    peak_memory_mb,
     plot_errors,
 )
 from eitskin.datasets.generation.generate import generate
@@ -343,7 +343,7 @@ def memory_mb(frames: int) -> float:
 def _peak_mb(frames: int) -> float:
     with tempfile.TemporaryDirectory() as folder:
         generate(recipe(frames), Path(folder) / "set", workers=1)
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    return peak_memory_mb()
 
 
 def frame_time(name: str, frames: int, seed: int) -> dict[str, float]:

@@ -7,7 +7,6 @@ into heat; by the other factorisation, the one with which sensitivities are comp
 import cmath
 import dataclasses
 import multiprocessing
-import resource
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.benchmarks.results import peak_memory_mb
 from eitskin.benchmarks.stability.case import Case, CaseValues
 from eitskin.benchmarks.stability.closed_forms import block, shunt_pair
 from eitskin.geometry import Disc, Electrode, Layer, Polygon, Rectangle, SensorDesign
@@ -339,7 +339,7 @@ def _measure(design: SensorDesign) -> CaseValues:
     model = ForwardModel(design, "standard")
     R = protocol.measure(model.impedance()).real
     seconds = time.process_time() - began
-    gigabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    gigabytes = 1e-3 * peak_memory_mb()
     fast = protocol.measure(ForwardModel(design, "fast").impedance()).real
     error = float(np.abs(fast / R - 1.0).max())
     figures = {"unknowns": model.unknowns, "s": seconds, "GB": gigabytes, "fast [%]": 100.0 * error}

@@ -4,11 +4,14 @@ import csv
 import hashlib
 import json
 import math
+import multiprocessing
 import re
 import signal
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import typer
 from command_line import run
@@ -342,3 +345,11 @@ def test_a_run_that_is_no_entry_is_refused_before_the_work(tmp_path, words):
     with pytest.raises(ConfigurationError):
         run("bench", "transfer", "--out", tmp_path, "--leaderboard", tmp_path / "a.json", *words)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs Linux")
+def test_peak_memory_is_that_of_a_process_without_its_parents():
+    block = np.ones(60_000_000)
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        alone = pool.submit(suite.peak_memory_mb).result()
+    assert alone < 400 < 1e-6 * block.nbytes <= suite.peak_memory_mb()
