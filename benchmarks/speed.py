@@ -297,15 +297,15 @@ def floor() -> dict[str, float]:
         front.size**3 // 3 + front.coupled**2 * front.outer + front.coupled * front.outer**2
         for front in fronts
     )
-    found = {"floor.million_operations": 1e-6 * operations}
+    figures = {"floor.million_operations": 1e-6 * operations}
     for name, kind in {"double": np.float64, "single": np.float32}.items():
         square, times = np.ones((1500, 1500), dtype=kind), []
         for _ in range(5):
             start = time.process_time()
             _ = square @ square
             times.append(time.process_time() - start)
-        found[f"floor, {name}.ms"] = 1e3 * operations * min(times) / (2 * len(square) ** 3)
-    return found
+        figures[f"floor, {name}.ms"] = 1e3 * operations * min(times) / (2 * len(square) ** 3)
+    return figures
 
 
 def recipe(frames: int) -> Recipe:

@@ -197,15 +197,17 @@ class LabelledCounts:
         return [int(flat[0]), *order[: self.angles].tolist(), *presses.tolist()]
 
 
-def judge(data: Dataset, said: Predictions) -> Figures:
+def judge(data: Dataset, predictions: Predictions) -> Figures:
     """Figures of predictions; angles are those of untouched frames."""
-    matches, free = Matches.from_dataset(data, said), data.state != State.TOUCH
-    angle = (said.bend_angle_deg - data.bend_angle_deg)[free]
-    numbers = np.array([len(touches) for touches in said.touches])
+    matches, free = Matches.from_dataset(data, predictions), data.state != State.TOUCH
+    angle = (predictions.bend_angle_deg - data.bend_angle_deg)[free]
+    numbers = np.array([len(touches) for touches in predictions.touches])
     figures = {
-        "states right": float((said.state == data.state).mean()),
+        "states right": float((predictions.state == data.state).mean()),
         "angle, rms [deg]": root_mean_square(angle),
-        "angle, error over standard error": root_mean_square(angle / said.bend_deviation_deg[free]),
+        "angle, error over standard error": root_mean_square(
+            angle / predictions.bend_deviation_deg[free]
+        ),
         "numbers of touches right": float((numbers == data.touch_count).mean()),
         "touches found": float(len(matches.error) / data.touch_count.sum()),
     }

@@ -74,7 +74,7 @@ class Sampling:
         spacing: spacing of the places, at most [m].
         margin: margin without places [m]: presses nearer to the rim are detected by images only.
         resolution: resolution of the forward model.
-        snr_db: snr db of the instrument's white noise below full scale [dB].
+        snr_db: signal-to-noise ratio of the instrument, its full scale over its white noise [dB].
     """
 
     spacing: float = 0.005

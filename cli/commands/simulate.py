@@ -275,8 +275,8 @@ def mesh(
     output: options.Output,
 ) -> None:
     """Mesh a sensor: number and quality of its cells, and a picture."""
-    from eitskin.simulator.deformation.stored_mesh import stored_mesh
     from eitskin.simulator.electrical.resolution import discretisation, suited_cells
+    from eitskin.simulator.electrical.stored_mesh import stored_mesh
     from eitskin.simulator.view.drawing import require_picture
 
     design = options.read_design(sensor)

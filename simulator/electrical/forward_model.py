@@ -18,7 +18,6 @@ from eitskin.geometry.meshing.mesh import Mesh
 from eitskin.geometry.meshing.mesh_body import MeshBody
 from eitskin.geometry.meshing.mesh_design import CellKind
 from eitskin.protocol import Protocol
-from eitskin.simulator.deformation.stored_mesh import stored_mesh
 from eitskin.simulator.electrical.assembly import Assembly, Stiffness
 from eitskin.simulator.electrical.cem_system import (
     CemSystem,
@@ -46,6 +45,7 @@ from eitskin.simulator.electrical.resolution import (
     suited_cells,
 )
 from eitskin.simulator.electrical.sensitivity import Tensors, pixel_gram
+from eitskin.simulator.electrical.stored_mesh import stored_mesh
 from eitskin.simulator.linalg.multifrontal import MultifrontalSolver
 from eitskin.simulator.linalg.sparse_structure import choose_order
 

@@ -17,8 +17,8 @@ from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh import Mesh
 from eitskin.geometry.meshing.mesh_design import CellKind, natural_cells
 from eitskin.protocol import Protocol
-from eitskin.simulator.deformation.stored_mesh import stored_mesh
 from eitskin.simulator.electrical.forward_model import AreaRatio, ForwardModel
+from eitskin.simulator.electrical.stored_mesh import stored_mesh
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Field, Simulator
 from eitskin.simulator.view import drawing

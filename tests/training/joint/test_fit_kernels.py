@@ -56,12 +56,12 @@ def test_whitened_vectors_and_angles_are_those_of_the_library():
     for angle in (-8.0, 3.0, 31.0):
         change = CURVE.value(angle) + rng.multivariate_normal(np.zeros(28), TWO_FRAMES)
         given = CURVE.coefficients, CURVE.blocks, change, TWO_FRAMES, angle + 2.0, (-25.0, 55.0)
-        said, plain = fast.score_angle(*given), fit_kernels.score_angle(*given)
-        assert said[0] == pytest.approx(plain[0], abs=1e-5)
-        assert [said[1], said[3]] == pytest.approx([plain[1], plain[3]], rel=1e-6)
-        np.testing.assert_allclose(said[2], plain[2], rtol=1e-5, atol=1e-5)
-        residual, slope = said[2]
-        covariance = TWO_FRAMES + CURVE.uncertainty(said[0])
-        off = change - CURVE.value(said[0])
+        by_kernel, plain = fast.score_angle(*given), fit_kernels.score_angle(*given)
+        assert by_kernel[0] == pytest.approx(plain[0], abs=1e-5)
+        assert [by_kernel[1], by_kernel[3]] == pytest.approx([plain[1], plain[3]], rel=1e-6)
+        np.testing.assert_allclose(by_kernel[2], plain[2], rtol=1e-5, atol=1e-5)
+        residual, slope = by_kernel[2]
+        covariance = TWO_FRAMES + CURVE.uncertainty(by_kernel[0])
+        off = change - CURVE.value(by_kernel[0])
         assert residual @ residual == pytest.approx(off @ np.linalg.solve(covariance, off))
         assert residual @ slope == pytest.approx(0.0, abs=1e-2 * np.sqrt(slope @ slope))
