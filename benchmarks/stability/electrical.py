@@ -6,12 +6,13 @@ into heat; by the other factorisation, the one with which sensitivities are comp
 
 import cmath
 import dataclasses
+import math
 import multiprocessing
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -168,7 +169,11 @@ def layers(ratios: Sequence[float], shares: Sequence[float]) -> Iterator[Case]:
             limit = _contrast_limit(ratio)
             for kind, solve in (("across", _cross_layer_case), ("along", _in_parallel)):
                 part = partial(solve, ratio, thin)
-                yield Case(f"{kind}, {name}", part, invariant_limit=limit, error_limit=1e-7)
+                # Rounding decides where contrasts of conductivities and heights multiply to 1e9.
+                expected: Literal["ok"] | None = None if ratio > 1e5 and thin < 2e-3 else "ok"
+                yield Case(
+                    f"{kind}, {name}", part, expected, "double precision", math.inf, limit, 1e-7
+                )
 
 
 def _cross_layer_case(ratio: float, thin: float) -> CaseValues:

@@ -33,7 +33,7 @@ from eitskin.geometry.deformation.fixtures import Fixture
 from eitskin.geometry.deformation.kinematics import Composition, Deformation, pulled_back_entries
 from eitskin.geometry.meshing.grading import Grading, graded_lines
 from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Sphere, Touch
-from eitskin.simulator.deformation.touches import sketched_dents
+from eitskin.simulator.deformation.press_table import sketched_dents
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.layer_stack import Sheet, Stack
 from eitskin.simulator.mechanics.load_stepping import Load, SolidError, newton

@@ -37,7 +37,7 @@ from eitskin.geometry.deformation.kinematics import Composition
 from eitskin.geometry.design.electrode import On, Shape
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Scene, Simulator, Touch
-from eitskin.simulator.deformation.touches import sketched_dents
+from eitskin.simulator.deformation.press_table import sketched_dents
 from eitskin.threads import one_thread
 
 _SHOWN = ("extreme presses", "ordinary designs")  # families whose cases are figures, one by one

@@ -21,8 +21,8 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.geometry.meshing.delaunay import layer_surface
 from eitskin.simulator.bends import bend_table
+from eitskin.simulator.deformation.press_table import sketched_dents
 from eitskin.simulator.deformation.solution_store import missing
-from eitskin.simulator.deformation.touches import sketched_dents
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.scene import Touch
 

@@ -284,9 +284,10 @@ class PlateBend:
         """Table of presses by an indenter."""
         return _problem(self._case(indenter))
 
-    def reaches(self, indenter: Indenter, x: float, depth: float) -> bool:
-        """Whether a dent at x to a depth [m] is within the table."""
-        return bool(self._is_reached(indenter, x, depth, self.angle_deg))
+    def deepest(self, indenter: Indenter, x: float) -> float:
+        """Deepest dent at x that the table reaches [m]; 0 at an angle that it does not reach."""
+        depth = self._deepest(self._case(indenter), x) * (1.0 + _DEPTH_MARGIN)
+        return float(depth) if ANGLES_DEG[0] <= self.angle_deg <= ANGLES_DEG[-1] else 0.0
 
     def check(self, indenter: Indenter, x: float, depth: float) -> None:
         """Raise ConfigurationError for a dent at x to a depth [m] that the table does not reach."""

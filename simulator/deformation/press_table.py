@@ -1,7 +1,7 @@
 """Table of presses of one indenter on one unbounded stack."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache, partial
 from typing import NamedTuple
@@ -13,13 +13,14 @@ from scipy.interpolate import CubicSpline, PPoly
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.simulator.deformation.dents import DEGREE, TabulatedDent
+from eitskin.simulator.deformation.dents import DEGREE, Dents, PlacedDent, TabulatedDent
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid, StackGrid
 from eitskin.simulator.deformation.solution_store import Arrays, Problem, Report, load_or_solve
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.layer_stack import Indentation, Mechanics, Stack
 from eitskin.simulator.mechanics.load_stepping import SolidError
-from eitskin.simulator.scene.indenters import Footprint, Indenter
+from eitskin.simulator.scene.indenters import Cylinder, Footprint, Indenter
+from eitskin.simulator.scene.scene import Touch
 
 Array = NDArray[np.float64]
 
@@ -417,3 +418,17 @@ def _profile(indenter: Indenter) -> tuple[Array, list[float]]:
     """Heights [m] and slopes of an indenter's profile."""
     heights, slopes, _ = indenter.profile(np.linspace(0.0, indenter.rims[1], _SAMPLES))
     return heights, slopes.tolist()
+
+
+def sketched_dents(touches: Iterable[Touch], design: SensorDesign) -> Dents:
+    """Superposed dents of the 15 mm cylinder on the reference sensor, stretched to a design.
+
+    A sketch for drawings, of which nothing has to be solved; greater forces than those solved
+    count as the largest.
+    """
+    table = press_table(SensorDesign.reference(), Mechanics(), Cylinder())
+    table = table.stretch_heights(design.thickness / float(table.thickness))
+    most = table.largest_force
+    return Dents(
+        tuple(PlacedDent(t.x, t.y, table.dent_from_force(min(t.force, most))) for t in touches)
+    )

@@ -73,8 +73,8 @@ class PlatesUnder(Protocol):
         """Table of what the plates change of presses by an indenter."""
         ...
 
-    def reaches(self, indenter: AnyIndenter, x: float, depth: float) -> bool:
-        """Whether the table reaches to a dent at x of a depth [m]."""
+    def deepest(self, indenter: AnyIndenter, x: float) -> float:
+        """Deepest dent at x that the table reaches [m]; 0 at an angle that it does not reach."""
         ...
 
     def evaluate(

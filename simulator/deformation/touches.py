@@ -1,7 +1,7 @@
 """Touches of a scene: their dents, depth, contact and pressure."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 from typing import NamedTuple
 
@@ -25,7 +25,6 @@ from eitskin.simulator.deformation.field import Field
 from eitskin.simulator.deformation.node_sums import NodeSums
 from eitskin.simulator.deformation.outline_sides import corner_distance
 from eitskin.simulator.deformation.pair_corrections import pair_corrections
-from eitskin.simulator.deformation.press_table import press_table
 from eitskin.simulator.deformation.pressed_sensor import (
     DentedTouch,
     PressedSensor,
@@ -39,8 +38,7 @@ from eitskin.simulator.deformation.tabled_corrections import (
     has_strip,
     rectangle_sums,
 )
-from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.scene.indenters import Cylinder, Footprint
+from eitskin.simulator.scene.indenters import Footprint
 from eitskin.simulator.scene.scene import AnyIndenter, PressedTouch, Touch, neighbour_distance
 
 Array = NDArray[np.float64]
@@ -74,6 +72,7 @@ _NOT_VALIDATED_AFTER_BEND = (
     "bent, rolled or twisted after the touch, with an unmeasured error; with the support "
     "'plates' and a clamp, without roll and twist, touch and bend are solved together"
 )
+_TRIED_PARTS = 0.45, 0.9  # of the deepest dent of a table, by which deeper ones are foreseen
 _MOST_SEARCHED = 10  # dents tried in a search for given depths
 
 
@@ -122,20 +121,6 @@ def _frames(scene: "_DentedScene", sensor: PressedSensor, bend: Deformation) -> 
     return sensor.frames(bend, np.stack([*places, *middles])) if len(places) else []
 
 
-def sketched_dents(touches: Iterable[Touch], design: SensorDesign) -> Dents:
-    """Superposed dents of the 15 mm cylinder on the reference sensor, stretched to a design.
-
-    A sketch for drawings, of which nothing has to be solved; greater forces than those solved
-    count as the largest.
-    """
-    table = press_table(SensorDesign.reference(), Mechanics(), Cylinder())
-    table = table.stretch_heights(design.thickness / float(table.thickness))
-    most = table.largest_force
-    return Dents(
-        tuple(PlacedDent(t.x, t.y, table.dent_from_force(min(t.force, most))) for t in touches)
-    )
-
-
 class _DentedScene(NamedTuple):
     """Touches of a scene with their dents.
 
@@ -177,6 +162,7 @@ def _solve_dents(
         # As their dents, so that forces are not looked up once more.
         acting = tuple(touches[n] if touches[n].depth else press for n, press in presses.items())
         if acting and resolve_touch_model(acting, sensor) == "solved":
+            _require_carried(dented, sensor)
             solved = sensor.solve(tuple(presses.values()))
             scene = scene._replace(solved=solved)
             scene.sunk[list(presses)] = solved.sunk
@@ -354,9 +340,50 @@ def _plates_reach(touches: tuple[Touch, ...], sensor: PressedSensor) -> bool:
         return True
     depths = (touch.depth or dent_touch(touch, 0.0, sensor).depth for touch in touches)
     return all(
-        sensor.plates.reaches(touch.indenter, touch.x, depth)
+        depth <= sensor.plates.deepest(touch.indenter, touch.x)
         for touch, depth in zip(touches, depths, strict=True)
     )
+
+
+def _require_carried(touches: list[DentedTouch], sensor: PressedSensor) -> None:
+    """Raise ConfigurationError for presses that take a stack over a gap deeper than it is thick.
+
+    No such press was ever compared, and one takes up to an hour to solve. Depths grow faster with
+    the force than the quadratic through those of two tabulated dents.
+    """
+    design, plates = sensor.design, sensor.plates
+    if plates is None or not isinstance(design.support, Plates):
+        return
+    start, end = design.support.gap(design.outline)
+    thickness = design.encapsulated_thickness
+    for touch, dent in ((each.touch, each.dent) for each in touches if each.dent is not None):
+        if not start < touch.x < end:
+            continue
+        least, advice = touch.depth or 0.0, "press less deep"
+        deepest = plates.deepest(touch.indenter, touch.x)
+        tabulated = _corrections_ship(sensor, touch.indenter, pairs=False)
+        if tabulated and touch.depth is None and dent.depth > deepest > 0.0:
+            tried = [
+                Touch(touch.x, touch.y, indenter=touch.indenter, depth=part * deepest)
+                for part in _TRIED_PARTS
+            ]
+            dented = [dent_touch(each, each.depth or 0.0, sensor) for each in tried]
+            scenes = [_DentedScene([each], np.zeros(1)) for each in dented]
+            sunk = _evaluate(scenes, [sensor] * len(scenes), None)[1]
+            forces = np.array([each.dent.force for each in dented if each.dent])
+            depths = np.array([each.depth for each in dented]) + sunk
+            linear, square = np.linalg.solve(np.stack([forces, forces**2], axis=1), depths)
+            if square < 0.0:  # next to a plate, as far as which nothing is refused
+                continue
+            least = linear * dent.force + square * dent.force**2
+            most = 2.0 * thickness / (linear + math.sqrt(linear**2 + 4.0 * square * thickness))
+            advice = f"press with at most {math.floor(10.0 * most) / 10.0:g} N"
+        if least > thickness:
+            raise ConfigurationError(
+                f"at ({touch.x:g}, {touch.y:g}) m over the gap between plates the sensor would "
+                f"sink {1e3 * least:.3g} mm, more than its thickness of {1e3 * thickness:g} mm, "
+                f"which was never compared; {advice} there, or farther from the gap's middle"
+            )
 
 
 def pressed_touches(

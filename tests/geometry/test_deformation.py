@@ -19,7 +19,7 @@ from eitskin.geometry.deformation.kinematics import (
 )
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Touch
-from eitskin.simulator.deformation.touches import sketched_dents
+from eitskin.simulator.deformation.press_table import sketched_dents
 
 from alternatives import pulled_back
 

@@ -27,7 +27,7 @@ from eitskin.geometry.design.patches import area_vectors
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Frame, Mechanics, Touch
 from eitskin.simulator.bends import bend_table
-from eitskin.simulator.deformation.touches import sketched_dents
+from eitskin.simulator.deformation.press_table import sketched_dents
 
 from page_fakes import DESIGN, PROTOCOL, staged_board
 

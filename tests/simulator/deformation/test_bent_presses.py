@@ -2,12 +2,13 @@
 
 import dataclasses
 import math
+import re
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from eitskin.geometry import Bend, Clamp, Plates, Rectangle, Rigid, SensorDesign
+from eitskin.geometry import Bend, Clamp, ConfigurationError, Plates, Rectangle, Rigid, SensorDesign
 from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
 from eitskin.simulator.bends import bend_table, pressed_plates
@@ -181,3 +182,24 @@ def test_over_the_gap_a_solved_angle_follows_from_the_others():
     missing = np.einsum("xyapr,a->xypr", solved[:, :, [0, 1, 3]], weights) - solved[:, :, 2]
     sizes = np.linalg.norm(solved[:, :, 2], axis=-1)
     assert (np.linalg.norm(missing, axis=-1) < 0.06 * sizes).all()
+
+
+@pytest.mark.parametrize(("angle", "x"), [(0.0, 0.075), (50.0, 0.068)])
+def test_presses_over_a_gap_are_refused_from_the_force_that_the_refusal_names(unsolved, angle, x):
+    """Unsolved, since that takes minutes; 6 N sink 12.2 mm at 50 degrees by the solution in 3D."""
+    sensor = Simulator(dataclasses.replace(DESIGN, support=Plates()), "fast")
+
+    def press(**to: float) -> None:
+        sensor.presses(Scene(Bend(angle), (Touch(x, 0.030, **to),)))
+
+    with pytest.raises(ConfigurationError, match="more than its thickness") as refusal:
+        press(force=12.0)
+    most = float(re.search(r"at most (\S+) N", str(refusal.value))[1])
+    assert not unsolved
+    assert 4.0 < most < 11.0
+    press(force=most)
+    assert len(unsolved) > 0
+    with pytest.raises(ConfigurationError, match="sink"):
+        press(force=most + 0.2)
+    with pytest.raises(ConfigurationError, match="13 mm"):
+        press(depth=0.013)
