@@ -4,6 +4,7 @@ Ctrl-C while the program loads is answered here, and so is every exception that 
 """
 
 import errno
+import gc
 import os
 import signal
 import sys
@@ -25,6 +26,7 @@ def run() -> None:
 
     An unexpected exception ends it with exit code 70, one sentence, and a report in a file.
     """
+    gc.set_threshold(20_000, 10, 10)  # imports make many objects, and hardly one is garbage
     _silence_numbers()
     sys.unraisablehook = interrupt_again
     try:

@@ -59,8 +59,6 @@ def command(
     """Simulate one scene: impedances, and depth and pressure of its touches."""
     import numpy as np
 
-    from eitskin.simulator.view.scene_pictures import draw_scenes
-
     what = on_support(simulator.Scene.from_toml(scene), support)
     board = _instrument(noise, instrument)
     design = options.read_design(sensor.sensor)
@@ -83,6 +81,8 @@ def command(
     data = spectrum[0] if len(spectrum) == 1 else {"spectrum": spectrum}
     output.result(data | {"touches": touches}, Group(*tables, *_touch_tables(touches)))
     if view is not None:
+        from eitskin.simulator.view.scene_pictures import draw_scenes
+
         draw_scenes(sim, [(_title(scene.stem, what), what)], view, color or "conductance", pair)
         output.note(f"picture: {view}")
 

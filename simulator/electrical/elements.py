@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
@@ -37,6 +37,7 @@ def plane_element(base: Base, order: int) -> skfem.Element:
     return square[order]() if order in square else skfem.ElementQuadP(order)
 
 
+@lru_cache(maxsize=8)
 def _coefficients_of_one(element: skfem.Element, base: Base) -> Array:
     """Coefficients of the constant function one: all ones, or ones at the corners."""
     shape = skfem.refdom.RefTri if base == "triangle" else skfem.refdom.RefQuad

@@ -107,15 +107,16 @@ class MultifrontalSolver:
         rank = np.empty_like(self._order)
         rank[self._order] = np.arange(len(rank))
         # Each entry belongs to the front that eliminates the first of its two unknowns.
-        first, second = (ends(rank[rows], rank[columns]) for ends in (np.minimum, np.maximum))
-        gather = np.lexsort((second, first))
-        first, second = first[gather], second[gather]
-        new = np.append(True, (np.diff(first) != 0) | (np.diff(second) != 0))
-        runs = np.flatnonzero(new)
+        one, other = rank[rows], rank[columns]
+        entry = np.minimum(one, other) * len(rank) + np.maximum(one, other)
+        gather = np.argsort(entry, kind="stable")
+        entry = entry[gather]
+        runs = np.flatnonzero(np.append(True, np.diff(entry) != 0))
         summed = np.ones(len(gather)), gather, np.append(runs, len(gather))
         self._sums = csr_array(summed, (len(runs), len(gather)))
-        ends = np.searchsorted(first[runs], np.arange(len(rank) + 1))
-        self.fronts = list(_fronts(blocks, ends, second[runs]))
+        first, second = np.divmod(entry[runs], len(rank))
+        ends = np.searchsorted(first, np.arange(len(rank) + 1))
+        self.fronts = list(_fronts(blocks, ends, second))
 
     def factorise(self, values: Numbers) -> "Factors":
         """Factorise the matrix with these values."""
@@ -287,17 +288,15 @@ def _additions(rows: Indices, size: int, first: int) -> Iterator[Addition]:
         breaks = np.array([split])
     ends = pairwise([0, *breaks[(breaks > 0) & (breaks < len(rows))], len(rows)])
     runs = [(slice(start, stop), start < split) for start, stop in ends]
+    in_front = [_as_slice(rows[run] - (0 if is_own else size)) for run, is_own in runs]
+    below = [_as_slice(rows[run] - first) if is_own else None for run, is_own in runs]
     for number, (one, is_own) in enumerate(runs):
-        for other, is_column_own in runs[: number + 1]:
+        for column, (other, is_column_own) in enumerate(runs[: number + 1]):
             block = 0 if is_own else 1 if is_column_own else 2
-            shifts = (0, size, size)[block], (0, first, size)[block]
-            places = [
-                _as_slice(rows[run] - shift)
-                for run, shift in zip((one, other), shifts, strict=True)
-            ]
-            if isinstance(places[0], np.ndarray) and isinstance(places[1], np.ndarray):
-                places[0] = places[0][:, None]
-            yield Addition(block, (places[0], places[1]), (one, other))
+            there, beside = in_front[number], (below if block == 1 else in_front)[column]
+            if isinstance(there, np.ndarray) and isinstance(beside, np.ndarray):
+                there = there[:, None]
+            yield Addition(block, (there, beside), (one, other))
 
 
 def _as_slice(numbers: Indices) -> Places:

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 import skfem
 from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import LaplacianNd, spsolve
 
@@ -154,6 +153,8 @@ def _select_connected(within: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
     Raises ConfigurationError where more would be.
     """
+    from scipy import ndimage  # which every other command would load for nothing
+
     while True:
         a, b, c, d = within[:-1, :-1], within[1:, :-1], within[:-1, 1:], within[1:, 1:]
         joined = within.copy()  # cells that meet at a node alone get one between them
