@@ -2,6 +2,7 @@
 
 import gc
 import os
+import re
 import warnings
 from collections import Counter, deque
 from pathlib import Path
@@ -17,6 +18,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("EITSKIN_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "kernels"))
 
 KEPT_MESHES = 8
+ALL_SLOW = re.compile(r"^pytestmark = \[?pytest\.mark\.slow\b", re.MULTILINE)
 # Examples take as long as a busy machine needs for them.
 settings.register_profile("any machine", deadline=None)
 settings.load_profile("any machine")
@@ -41,6 +43,13 @@ def pytest_configure(config):
 def pytest_collection_finish():
     """Leave what has been imported out of later collections of garbage."""
     gc.freeze()
+
+
+def pytest_ignore_collect(collection_path, config):
+    """Leave files unread whose tests are all slow, where slow ones are left out."""
+    if config.option.markexpr == "not slow" and collection_path.suffix == ".py":
+        return bool(ALL_SLOW.search(collection_path.read_text(encoding="utf-8"))) or None
+    return None
 
 
 @pytest.hookimpl(wrapper=True)

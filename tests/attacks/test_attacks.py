@@ -27,6 +27,8 @@ from eitskin.geometry import SensorDesign
 
 import small_dataset
 
+pytestmark = pytest.mark.slow
+
 MAX_SECONDS = 60  # of processor time of a trial
 MAX_LEFT = 40  # files and threads that all trials leave behind
 TEXTS = (
@@ -111,7 +113,6 @@ def folder(tmp_path, monkeypatch):
     signal.setitimer(signal.ITIMER_PROF, 0)
 
 
-@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(
     ("name", "attack", "trials"),

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from mcap_reader import read
 from rich.console import Console
-from rosbags.rosbag2 import Writer
 
 from eitskin.cli.commands.live.session import LiveSession, Recording, touch_picture
 from eitskin.cli.options import Output, opened_board
@@ -27,6 +26,9 @@ from eitskin.simulator import Protocol, Status
 from eitskin.training import InputSpec, Zero
 
 from live_fakes import PROTOCOL, Estimate, FakeBoard, FakePipeline, Info, frame, run_command
+from on_demand import OnDemand
+
+rosbag2 = OnDemand("rosbags.rosbag2")
 
 BOARD = ("--board", "virtual:?speed=max")
 
@@ -211,7 +213,7 @@ def test_ctrl_c_leaves_a_whole_file_beside_a_whole_recording(run, tmp_path, monk
 
 
 def test_a_full_disk_ends_the_file_and_not_the_session(run, tmp_path, monkeypatch, full_disk):
-    left, real = [9], Writer.write  # until the second frame
+    left, real = [9], rosbag2.Writer.write  # until the second frame
 
     def write(*arguments):
         left[0] -= 1
@@ -219,7 +221,7 @@ def test_a_full_disk_ends_the_file_and_not_the_session(run, tmp_path, monkeypatc
             raise OSError(28, "No space left on device")
         real(*arguments)
 
-    monkeypatch.setattr(Writer, "write", write)
+    monkeypatch.setattr(rosbag2.Writer, "write", write)
     path, folder = tmp_path / "run.mcap", tmp_path / "r"
     kept = ("--mcap", str(path), "--record", str(folder))
     result = run(FakePipeline(), *BOARD, "--frames", "6", *kept)

@@ -16,6 +16,8 @@ from eitskin.training import Pipeline, TrainingSettings
 
 from loopback import FLAT, FakeSimulator
 
+pytestmark = pytest.mark.slow
+
 PROTOCOL = Protocol.pairwise(8)
 BOARD = "virtual:?speed=max"
 
@@ -55,7 +57,6 @@ def _fake_sensor(monkeypatch):
     monkeypatch.setattr(virtual_board, "Simulator", lambda *_, **__: FakeSimulator())
 
 
-@pytest.mark.slow
 def test_evaluate_and_train_write_a_report(folder, tmp_path):
     model, data = folder / "mine.eitmodel", folder / "mine"
     run("evaluate", model, data, "--out", tmp_path / "report")
@@ -74,7 +75,6 @@ def test_evaluate_and_train_write_a_report(folder, tmp_path):
     assert said.count("warning: ") == 2  # of few touches, and of an error like that of a guess
 
 
-@pytest.mark.slow
 def test_check_compares_with_a_stored_reference_alone(folder, tmp_path):
     model, zero = folder / "mine.eitmodel", tmp_path / "zero.json"
     said = run("check", model, "--board", BOARD)

@@ -4,14 +4,17 @@ import json
 
 import numpy as np
 import pytest
-import torch
-from matplotlib.figure import Figure
 
 from eitskin.cli.commands import train
 from eitskin.datasets import State, save_dataset
 from eitskin.training import Pipeline, TrainingSettings
 
+from on_demand import OnDemand
 from small_dataset import make
+
+pytestmark = pytest.mark.slow
+
+figure = OnDemand("matplotlib.figure")
 
 
 @pytest.fixture(scope="module")
@@ -26,8 +29,6 @@ def trained(dataset, tmp_path_factory):
     """A folder with the dataset, a pipeline trained on it for an epoch, and its report."""
     folder = tmp_path_factory.mktemp("trained")
     save_dataset(dataset, folder / "data")
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
     report = folder / "report"
     train.command(
         folder / "data",
@@ -37,7 +38,6 @@ def trained(dataset, tmp_path_factory):
         report=report,
         quiet=True,
     )
-    torch.set_num_threads(before)
     return folder
 
 
@@ -45,7 +45,6 @@ def read(folder):
     return json.loads((folder / "report.json").read_text())
 
 
-@pytest.mark.slow
 def test_training_writes_a_report_with_curves_and_reconstructions(trained, dataset):
     report = read(trained / "report")
     assert report["report"]["frames"] == 12
@@ -65,10 +64,9 @@ def test_training_writes_a_report_with_curves_and_reconstructions(trained, datas
     assert report["provenance"]["seed of these frames"] == str(dataset.seed)
 
 
-@pytest.mark.slow
 def test_a_saved_pipeline_gives_the_same_report(trained, tmp_path, capsys, monkeypatch):
     """Without writing images, which takes most of a report and has tests elsewhere."""
-    monkeypatch.setattr(Figure, "savefig", lambda _, path: path.write_bytes(b"PNG"))
+    monkeypatch.setattr(figure.Figure, "savefig", lambda _, path: path.write_bytes(b"PNG"))
     train.evaluate(trained / "some.eitmodel", trained / "data", out=tmp_path / "again")
     said = capsys.readouterr()
     assert "empty picture" in said.out

@@ -110,13 +110,17 @@ BOX_FACES = np.array(
         *([2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]),
     ]
 )
-SURFACE = TriangleSurface.from_triangles(BOX, BOX_FACES)
 
 
-def test_features_are_sharp_edges_and_sizes_those_wanted_near_them():
-    assert len(SURFACE.edges) == 12
-    assert np.array_equal(np.sort(SURFACE.corners), np.arange(8))
-    assert (np.count_nonzero(np.ptp(BOX[SURFACE.edges], axis=1), axis=1) == 1).all()
+@pytest.fixture(scope="module")
+def surface():
+    return TriangleSurface.from_triangles(BOX, BOX_FACES)
+
+
+def test_features_are_sharp_edges_and_sizes_those_wanted_near_them(surface):
+    assert len(surface.edges) == 12
+    assert np.array_equal(np.sort(surface.corners), np.arange(8))
+    assert (np.count_nonzero(np.ptp(BOX[surface.edges], axis=1), axis=1) == 1).all()
     for sides, edges, corners in ((48, 96, 0), (6, 18, 12)):  # at 7.5 degrees: the rims alone
         mesh = trimesh.creation.cylinder(1.0, 1.0, sections=sides)
         found = TriangleSurface.from_triangles(mesh.vertices, mesh.faces)
@@ -145,12 +149,12 @@ def test_features_are_sharp_edges_and_sizes_those_wanted_near_them():
         ((1.3, 0.7, 0.5), (1.3, 0.7, 0.5)),  # far from everything
     ],
 )
-def test_places_go_to_the_sharpest_feature_within_reach(place, goal):
-    *_, found = SURFACE.targets(np.array([place, (0.1, 0.1, 0.5)]), 0.08)
+def test_places_go_to_the_sharpest_feature_within_reach(surface, place, goal):
+    *_, found = surface.targets(np.array([place, (0.1, 0.1, 0.5)]), 0.08)
     assert found[0] == pytest.approx(goal, abs=1e-12)
 
 
-def test_dented_boxes_become_plane_and_no_cell_is_flattened():
+def test_dented_boxes_become_plane_and_no_cell_is_flattened(surface):
     points, cells = block(4, (12, 8, 4), (3, 2, 1))
     inside = ((points > 0) & (points < [3, 2, 1])).all(axis=1)
     assert volumes(points, cells).sum() == pytest.approx(6.0, rel=1e-9)
@@ -159,7 +163,7 @@ def test_dented_boxes_become_plane_and_no_cell_is_flattened():
     away = rng.normal(size=points.shape) * (np.isclose(points, 0) | np.isclose(points, [3, 2, 1]))
     rough += 0.02 * away / np.maximum(np.linalg.norm(away, axis=1), 1e-9)[:, None]
     assert abs(volumes(rough, cells).sum() / 6 - 1) > 1e-4
-    smooth = snap_boundary(rough, cells, SURFACE, 0.03)
+    smooth = snap_boundary(rough, cells, surface, 0.03)
     assert np.array_equal(smooth[inside], points[inside])
     assert smooth == pytest.approx(points, abs=1e-12)
     # The apex of the first is within reach of the face that its base lies in.
@@ -172,7 +176,7 @@ def test_dented_boxes_become_plane_and_no_cell_is_flattened():
     points = np.array([*flat, *tall, *free, *held])
     cells = np.array([[0, 2, 1, 3]]) + 4 * np.arange(4)[:, None]
     assert volumes(points, cells).min() > 0
-    found = snap_boundary(points, cells, SURFACE, 0.08)
+    found = snap_boundary(points, cells, surface, 0.08)
     assert np.array_equal(found[:4], points[:4])
     assert found[[4, 8, 12]] == pytest.approx(
         np.array([[2.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 0.06, 1.0]])

@@ -31,7 +31,11 @@ BUILT_IN = PortInfo("/dev/ttyS0")
 BOARD = PortInfo("/dev/ttyACM0", "EIT board", "ST", 0x0483, 0x5740, "205A3D")
 TWIN = dataclasses.replace(BOARD, device="/dev/ttyACM1")
 FRAME = Frame(np.ones(28), PROTOCOL)
-TABLE = Protocol(((0, 1, 2, 3),) * (MAX_MEASUREMENTS + 1), 4)
+
+
+def too_many():
+    """Protocol with a measurement more than a packet has."""
+    return Protocol(((0, 1, 2, 3),) * (MAX_MEASUREMENTS + 1), 4)
 
 
 def among(ports, call, *arguments):
@@ -81,7 +85,10 @@ CONFIGURATION = {
     "script": (lambda: Script(()), "one step"),
     "step": (lambda: Step(Scene(), 0), "one frame"),
     "payload": (lambda: encode(Packet(1, 1, b"x" * (MAX_PAYLOAD + 1))), r"1009 bytes.*1010"),
-    "table": (lambda: Table.from_protocol(TABLE), "at most 65535 measurements of 255 electrodes"),
+    "table": (
+        lambda: Table.from_protocol(too_many()),
+        "at most 65535 measurements of 255 electrodes",
+    ),
     "host": (lambda: UdpOutlet("no host", 1), "cannot find"),
     "expected shape": (lambda: check_sensor([FRAME], np.ones(27)), "shape"),
     "expected zero": (lambda: check_sensor([FRAME], np.zeros(28)), "positive"),

@@ -15,12 +15,13 @@ from eitskin.geometry.deformation.kinematics import pulled_back_entries
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Scene, Simulator, Touch
 
+from on_demand import OnDemand, require_kernels
+
 pytestmark = pytest.mark.slow
 
 KERNELS = "eitskin.simulator.deformation.kernels"
-if compiled.load_kernels(KERNELS) is None:
-    pytest.skip("needs the extra `fast`, without EITSKIN_PLAIN", allow_module_level=True)
-numba = pytest.importorskip("numba")
+require_kernels()
+numba = OnDemand("numba")
 
 COARSE = ((2, 2, 1), Grading(2e-3, 8e-3, 3.0))
 PRESSED = (Touch(0.050, 0.020, 6.0), Touch(0.078, 0.034, 4.0), Touch(0.130, 0.045, 3.0))

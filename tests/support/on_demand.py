@@ -1,5 +1,6 @@
 """Heavy packages, loaded by the test that uses them: both processes collect all test files."""
 
+import os
 from importlib import import_module
 from importlib.util import find_spec
 
@@ -16,4 +17,12 @@ class OnDemand:
         self._name = name
 
     def __getattr__(self, attribute):
+        if attribute.startswith("_"):  # which pytest asks of everything in a module
+            raise AttributeError(attribute)
         return getattr(import_module(self._name), attribute)
+
+
+def require_kernels():
+    """Skip the module where kernels are not compiled."""
+    if os.environ.get("EITSKIN_PLAIN") or find_spec("numba") is None:
+        pytest.skip("needs the extra `fast`, without EITSKIN_PLAIN", allow_module_level=True)

@@ -18,6 +18,8 @@ from eitskin.simulator.deformation.sensor_grid import OWN_GRID
 from eitskin.simulator.deformation.tabled_corrections import rectangle_sums
 from eitskin.simulator.mechanics.stack_mesh import Fineness
 
+pytestmark = pytest.mark.slow
+
 SIZE, SPAN, PUNCH, MECHANICS = Rectangle(0.080, 0.040), 0.020, Cylinder(0.006), Mechanics()
 DESIGN = SensorDesign(SIZE, 0.005, uniform(SIZE, 8), support=Plates(SPAN))
 CLAMP = Clamp(SPAN, faces="bottom")
@@ -86,7 +88,6 @@ def coupled(held: PlateBend, x: float, y: float, depth: float) -> tuple[np.ndarr
     return change, float(bent.sunk[0] - flat.sunk[0])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("angle", "place", "depth"),
     [(14.0, (0.030, 0.020), 5e-4), (0.0, (0.033, 0.014), 5e-4)],
@@ -100,7 +101,6 @@ def test_a_tabulated_press_is_the_coupled_solution(plates, angle, place, depth) 
     assert extra == pytest.approx(sunk, rel=0.08, abs=0.01 * depth)
 
 
-@pytest.mark.slow
 def test_a_quarter_stands_for_all_and_presses_end_flat_within_the_table(plates):
     held, (x, y), depth = plates(10.0), (0.028, 0.013), 5e-4
     field = changed(held, x, y, depth)[0]

@@ -4,7 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy.stats import truncnorm
 
 from eitskin.errors import ConfigurationError, FrameError
 from eitskin.geometry import SensorDesign
@@ -22,6 +21,10 @@ from eitskin.simulator import (
 from eitskin.simulator.instrument.drift import DAY, DRIFT_TIME, WARMING_TIME, RandomWalk
 from eitskin.simulator.mechanics.touch_history import held_touches, recall_touches
 from eitskin.simulator.mechanics.viscoelasticity import REFERENCE, Prony, elastic_force
+
+from on_demand import OnDemand
+
+stats = OnDemand("scipy.stats")
 
 PAIRS = Protocol.pairwise(8)
 FLAT = np.linspace(480.0, 850.0, 28).astype(complex)
@@ -126,7 +129,7 @@ def test_gain_and_phase_have_their_deviation_and_end_at_their_limit(term, deviat
     else:
         found = np.angle(factors[:, 0], deg=True)
         np.testing.assert_allclose(np.abs(factors), 1.0, rtol=1e-12)
-    expected = deviation * truncnorm.std(-limit / deviation, limit / deviation)
+    expected = deviation * stats.truncnorm.std(-limit / deviation, limit / deviation)
     assert found.std() == pytest.approx(expected, rel=0.09)
     assert np.abs(found).max() <= limit
     assert abs(found.mean()) < 4 * deviation / np.sqrt(1000)

@@ -6,8 +6,6 @@ from made_up_frames import made_up_frames
 
 from eitskin.threads import one_torch_thread
 from eitskin.training import NetworkSettings
-from eitskin.training.joint import angle_training
-from eitskin.training.joint.angle_training import fit_angles
 from eitskin.training.joint.bend_curve import BendCurvePrior
 from eitskin.training.joint.combinations import Combinations, SpecimenFeatures
 from eitskin.training.joint.networks import (
@@ -22,6 +20,11 @@ from eitskin.training.joint.specimen_model import (
 )
 from eitskin.training.joint.training import TrainingRun, fit_bends
 from eitskin.training.method.settings import JointSettings, silent
+
+from on_demand import OnDemand
+
+TRAINING = "eitskin.training.joint.angle_training"
+angle_training = OnDemand(TRAINING)
 
 CHANNELS, NOISE = 6, 1e-4
 SETTINGS = NetworkSettings(1e-2, epochs=30, batch=128)
@@ -55,13 +58,16 @@ def frames(specimens=150, seed=1, tightness=0.35):
     return made_up_frames(change, angle, number, NOISE)
 
 
-def fitted(data, progress=silent, mixed=angle_training.MIX_RANGE):
+def fitted(data, progress=silent, mixed=None):
     with one_torch_thread(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(angle_training, "MEMBERS", 3)
-        patch.setattr(angle_training, "HIDDEN_SIZES", (32, 32))
-        patch.setattr(angle_training, "DRIFT", (1e-4, 1e-3))  # of minutes: fewer steps suffice
-        patch.setattr(angle_training, "MIX_RANGE", mixed)
-        return fit_angles(data, data.features, BendCurvePrior.fit(data), SETTINGS, 0, progress)
+        patch.setattr(f"{TRAINING}.MEMBERS", 3)
+        patch.setattr(f"{TRAINING}.HIDDEN_SIZES", (32, 32))
+        patch.setattr(f"{TRAINING}.DRIFT", (1e-4, 1e-3))  # of minutes: fewer steps suffice
+        if mixed is not None:
+            patch.setattr(f"{TRAINING}.MIX_RANGE", mixed)
+        return angle_training.fit_angles(
+            data, data.features, BendCurvePrior.fit(data), SETTINGS, 0, progress
+        )
 
 
 @pytest.fixture(scope="module")
@@ -181,9 +187,9 @@ def test_networks_are_kept_where_they_tell_more_than_the_curves(tightness, kept)
     data = frames(120, 1, tightness)
     settings = JointSettings(angles=SETTINGS, drift=1e-6)
     with one_torch_thread(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(angle_training, "MEMBERS", 2)
-        patch.setattr(angle_training, "HIDDEN_SIZES", (24, 24))
-        patch.setattr(angle_training, "DRIFT", (1e-4, 1e-3))
+        patch.setattr(f"{TRAINING}.MEMBERS", 2)
+        patch.setattr(f"{TRAINING}.HIDDEN_SIZES", (24, 24))
+        patch.setattr(f"{TRAINING}.DRIFT", (1e-4, 1e-3))
         none = SpecimenFeatures(np.zeros(CHANNELS), np.zeros((0, CHANNELS)))
         run = TrainingRun(none, Combinations(np.full(CHANNELS, NOISE)), settings, 0, silent)
         learned, _ = fit_bends(run, data)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from made_up_frames import made_up_frames
 from scipy.integrate import quad
-from scipy.stats import multivariate_normal
 
 from eitskin.training.joint.bend_curve import (
     MEAN_POWERS,
@@ -21,6 +20,10 @@ from eitskin.training.joint.specimen_model import (
     estimate_angle,
     posterior_angle,
 )
+
+from on_demand import OnDemand
+
+stats = OnDemand("scipy.stats")
 
 CHANNELS = 6
 SIZE = RANDOM_POWERS * CHANNELS
@@ -176,7 +179,7 @@ def test_mixed_models_find_covariance_and_moments_are_the_integral_over_angles(r
         def density(angle, power, combined=combined):
             spread = combined.noise + curve.uncertainty(angle)
             beyond = max(LOW - angle, angle - HIGH, 0.0)
-            likelihood = multivariate_normal(curve.value(angle), spread).pdf(combined.change)
+            likelihood = stats.multivariate_normal(curve.value(angle), spread).pdf(combined.change)
             return likelihood * np.exp(-beyond) * angle**power
 
         total, first, second = (

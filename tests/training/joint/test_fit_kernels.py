@@ -11,10 +11,10 @@ from eitskin.compiled import kernels
 from eitskin.training.joint import fit_kernels
 from eitskin.training.joint.objective import Unknowns, levenberg_marquardt
 
+from on_demand import require_kernels
 from smooth_sensor import TOUCH_PRIOR
 
-if compiled.load_kernels("numba") is None:
-    pytest.skip("needs the extra `fast`, without EITSKIN_PLAIN", allow_module_level=True)
+require_kernels()
 
 NEAR = [[0.050, 0.030, 6.0], [0.062, 0.036, 11.0], [0.055, 0.020, 8.0]]
 STARTS = {"untouched": [], **TOUCHES, "near": NEAR, "at bounds": [TOUCH_PRIOR.low] * 2}

@@ -5,24 +5,19 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-import torch
 from made_up_frames import made_up_frames
 
 from eitskin.geometry import Bend, Polygon, SensorDesign
 from eitskin.simulator import Protocol, Scene, Simulator, Touch
-from eitskin.training.joint import touch_training
 from eitskin.training.joint.networks import ProposalNetwork
 from eitskin.training.joint.touch_response import MAX_TOUCHES, TouchPrior
-from eitskin.training.joint.touch_training import (
-    ResponseNetwork,
-    SyntheticFrames,
-    folded_response,
-    packed_inputs,
-)
 from eitskin.training.joint.training import fit_mismatch
 from eitskin.training.method.input_spec import mirrors
 
+from on_demand import OnDemand
 from smooth_sensor import MEASUREMENTS, RANGES, SIZE, TOUCH_PRIOR, curves, response, touch_change
+
+torch, touch_training = OnDemand("torch"), OnDemand("eitskin.training.joint.touch_training")
 
 
 @pytest.fixture(scope="module")
@@ -88,16 +83,17 @@ def frames(count, seed):
     return made_up_frames(change, angle, specimen, 1e-5, features=feature[:, None], touches=touches)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("features", [0, 1])
 def test_network_says_what_it_was_trained_to_say(features):
     """The response without torch equals the network's; one specimen gives no covariance."""
     data = frames(40, 4)
     data = replace(data, features=data.features[:, :features])
-    network = ResponseNetwork(data, RANGES)
+    network = touch_training.ResponseNetwork(data, RANGES)
     network.latent.data[:] = 0.4  # the same for all: then it is none
     with torch.inference_mode():
-        said = network(packed_inputs(data, RANGES)).numpy() * 0.5
-    plain = folded_response(network, np.unique(data.specimen), 0.5, RANGES)
+        said = network(touch_training.packed_inputs(data, RANGES)).numpy() * 0.5
+    plain = touch_training.folded_response(network, np.unique(data.specimen), 0.5, RANGES)
     for i in range(40):
         touches = data.touches[i][np.isfinite(data.touches[i][:, 0])]
         alone = plain.for_specimen(data.features[i])(touches, float(data.angle_deg[i])).sum(axis=0)
@@ -111,7 +107,7 @@ FORCE = np.array([[4.0, 6.0, NAN], [8.0, NAN, NAN], [4.0, 10.0, 6.0]])
 
 
 @pytest.mark.slow
-def test_priors_are_estimated_and_followed_with_changes_of_the_response():
+def test_priors_are_estimated_and_followed_with_changes_of_the_response(model):
     """Bounds lie 3 mm and 30 % beyond the touches, but on the sensor."""
     prior = TouchPrior.fit(np.stack([X, Y, FORCE], axis=-1), SIZE, 0.0075)
     np.testing.assert_allclose(prior.low, [0.0, 0.007, 0.3 * 4.0])
@@ -122,7 +118,7 @@ def test_priors_are_estimated_and_followed_with_changes_of_the_response():
     assert prior.force == pytest.approx((mean, np.hypot(known.std(), 0.15 * mean)))
     np.testing.assert_allclose(prior.box[0], [0.0615, 0.030, mean])
     # The mean change over specimens and noise is that of `TouchResponse`.
-    _, places = MODEL.frames(4000, np.random.default_rng(1))
+    _, places = model.frames(4000, np.random.default_rng(1))
     there = np.isfinite(places[..., 0])
     counts = there.sum(axis=1)
     assert set(counts) == {0, 1, 2, 3, 4}
@@ -139,8 +135,8 @@ def test_priors_are_estimated_and_followed_with_changes_of_the_response():
     touches = np.full((2000, MAX_TOUCHES, 3), np.nan)
     touches[:, 0] = [0.05, 0.02, 9.0]
     angle, features = np.full(2000, 20.0), np.zeros((2000, 1))
-    change = MODEL.touch_changes(touches, angle, features, rng)
-    expected = MODEL.response.for_specimen([0.0])(touches[0, :1], 20.0)[0]
+    change = model.touch_changes(touches, angle, features, rng)
+    expected = model.response.for_specimen([0.0])(touches[0, :1], 20.0)[0]
     strong = expected > 0.3 * expected.max()
     mean = change.mean(axis=0) / np.exp(0.5 * touch_training.LOG_SENSITIVITY_STD**2)
     np.testing.assert_allclose(mean[strong], expected[strong], rtol=0.02)
@@ -150,9 +146,9 @@ def test_priors_are_estimated_and_followed_with_changes_of_the_response():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mismatch", [0.03, 0.2])
-def test_errors_of_a_response_are_found_next_to_those_of_noise_and_specimens(mismatch):
+def test_errors_of_a_response_are_found_next_to_those_of_noise_and_specimens(model, mismatch):
     """By what is left of frames that have strengths, q, errors in proportion, and noise."""
-    made = replace(MODEL, response=response(mismatch, features=1, unseen=2))
+    made = replace(model, response=response(mismatch, features=1, unseen=2))
     rng = np.random.default_rng(8)
     touches = rng.uniform(TOUCH_PRIOR.low, TOUCH_PRIOR.high, (1500, 1, 3))
     angle, features = rng.uniform(-20.0, 50.0, 1500), rng.standard_normal((1500, 3))
@@ -167,9 +163,10 @@ def test_errors_of_a_response_are_found_next_to_those_of_noise_and_specimens(mis
 # Made-up frames and the places that are proposed
 
 
-MODEL = SyntheticFrames(
-    response(mismatch=0.1, features=1), curves(features=1), TOUCH_PRIOR, MEASUREMENTS
-)
+@pytest.fixture(scope="module")
+def model():
+    known = response(mismatch=0.1, features=1), curves(features=1)
+    return touch_training.SyntheticFrames(*known, TOUCH_PRIOR, MEASUREMENTS)
 
 
 # CombinedChange the map

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from one_frame import TOUCHES, explained, frame, residual
-from scipy.stats import multivariate_normal
 
 from eitskin.training.joint.channel_faults import FAULT_PRICE, FAULT_SIZE, possible_faults
 from eitskin.training.joint.fit_kernels import DAMPINGS, trust_step
@@ -19,6 +18,7 @@ from eitskin.training.joint.touch_search import (
     pair_starts,
 )
 
+from on_demand import OnDemand
 from smooth_sensor import (
     FLAT,
     MEASUREMENTS,
@@ -30,6 +30,8 @@ from smooth_sensor import (
     places,
     response,
 )
+
+stats = OnDemand("scipy.stats")
 
 ONE, CURVE = response(mismatch=0.05).for_specimen(()), curve()
 TWO = np.array([[0.055, 0.030, 7.0], [0.100, 0.020, 9.0]])
@@ -135,7 +137,7 @@ def test_faults_are_every_channel_and_contact_weighed_by_density_and_no_touch_ne
         assert [possible.faults.index(fault) for fault in faulty.faults] == numbers
         shown = FAULT_SIZE * possible.changes[:, numbers]
         covariance = combined.noise + slope.T @ slope + shown @ shown.T
-        log = multivariate_normal(np.zeros(28), covariance).logpdf(measured)
+        log = stats.multivariate_normal(np.zeros(28), covariance).logpdf(measured)
         expected = -2.0 * log - 28 * np.log(2.0 * np.pi) + FAULT_PRICE * len(numbers)
         assert faulty.improbability == pytest.approx(expected, rel=1e-6)
         assert np.abs(faulty.rest.measured).max() < 0.3 * np.abs(measured).max()

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from made_up_frames import made_up_frames
-from scipy.stats import multivariate_normal
 
 from eitskin.simulator import Protocol
 from eitskin.training.joint.bend_curve import RANDOM_POWERS, BendCurvePrior
@@ -12,6 +11,10 @@ from eitskin.training.joint.clamp_curves import usual_curves
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.mirrored_frames import SCALE
 from eitskin.training.joint.specimen_model import SpecimenModel
+
+from on_demand import OnDemand
+
+stats = OnDemand("scipy.stats")
 
 CHANNELS, NOISE = 6, 2e-4
 COMBINATIONS = Combinations(np.full(CHANNELS, NOISE))
@@ -63,7 +66,7 @@ def test_likelihood_of_a_specimen_is_that_of_a_normal_vector():
     curve = everywhere.predict(())
     for number in (0, 15):
         change = mixture.change[mixture.specimen == number]
-        normal = multivariate_normal(curve.value(ANGLES).ravel(), whole)
+        normal = stats.multivariate_normal(curve.value(ANGLES).ravel(), whole)
         assert told[number] == pytest.approx(normal.logpdf(change.ravel()), rel=1e-6)
         by_curve = curve.log_likelihood(ANGLES, change, mixture.noise)
         assert by_curve == pytest.approx(told[number], rel=1e-6)

@@ -4,15 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-import torch
 
 from eitskin.errors import ConfigurationError
-from eitskin.threads import one_torch_thread
 from eitskin.training import NetworkSettings, TrainingSettings
-from eitskin.training.method.network_training import Samples, train_network
 from eitskin.training.method.observations import MissingChannels
 from eitskin.training.paper.layers import Network, state_layers, touch_map_layers
-from eitskin.training.paper.networks import flip_samples, layer_network, network_weights
 from eitskin.training.paper.stages import (
     MAX_SNR,
     BendAngle,
@@ -21,6 +17,11 @@ from eitskin.training.paper.stages import (
     find_touches,
     signal_to_noise,
 )
+
+from on_demand import OnDemand
+
+torch, networks = OnDemand("torch"), OnDemand("eitskin.training.paper.networks")
+network_training = OnDemand("eitskin.training.method.network_training")
 
 SHAPE = (8, 16)
 X, Y = np.meshgrid((np.arange(16) + 0.5) * 0.01, (np.arange(8) + 0.5) * 0.01)
@@ -31,13 +32,6 @@ JACOBIAN = np.array(
     [np.exp(-((X - place) ** 2) / 3e-4).ravel() for place in np.linspace(0, 0.16, 20)]
     + [np.exp(-((Y - place) ** 2) / 3e-4).ravel() for place in np.linspace(0, 0.08, 10)]
 )
-
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread():
-    """Small networks gain nothing from more, and lose where cores are shared."""
-    with one_torch_thread():
-        yield
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +112,7 @@ def test_classifier_learns_and_generalises(states, embedding):
     assert again.history == watched.history
     np.testing.assert_array_equal(again.apply(dV), watched.apply(dV))
     pictures = maps.reshape(-1, 1, *SHAPE)
-    logits = by_torch(layer_network(state_layers(SHAPE, 1)), plain.weights, pictures)
+    logits = by_torch(networks.layer_network(state_layers(SHAPE, 1)), plain.weights, pictures)
     odds = np.exp(logits - logits.max(axis=1, keepdims=True))
     expected = odds / odds.sum(axis=1, keepdims=True)
     np.testing.assert_allclose(plain.apply(dV[:240]), expected, atol=1e-6)
@@ -131,16 +125,17 @@ def by_torch(network, weights, maps):
         return network.eval()(torch.tensor(maps, dtype=torch.float32)).numpy()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layers", [touch_map_layers(), state_layers((16, 40), 2)])
 def test_networks_evaluated_by_numpy_are_torchs(layers):
     """Weights and batch statistics that were drawn, on maps of other sides than the toy sensor."""
-    network = layer_network(layers)
+    network = networks.layer_network(layers)
     rng = np.random.default_rng(1)
     weights = {
         name: rng.uniform(0.5, 1.5, array.shape).astype(np.float32)
         if name.endswith(("running_var", "1.weight"))
         else rng.normal(0.0, 0.1, array.shape).astype(array.dtype)
-        for name, array in network_weights(network).items()
+        for name, array in networks.network_weights(network).items()
     }
     inputs = rng.normal(size=(70, layers[0].inputs, 16, 40)).astype(np.float32)  # two batches
     expected = by_torch(network, weights, inputs)
@@ -149,13 +144,14 @@ def test_networks_evaluated_by_numpy_are_torchs(layers):
     np.testing.assert_allclose(found, expected, atol=2e-6 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_mirror_images_are_drawn_with_their_targets():
     maps = torch.arange(12.0).reshape(2, 1, 2, 3)
     flips = [(False, False), (True, False), (False, True), (True, True)]
     seen, generator = set(), torch.Generator().manual_seed(0)
     for _ in range(40):
         pictures, targets = maps[1:].clone(), 10.0 * maps[1:]
-        flip_samples((pictures, targets), flips, generator)
+        networks.flip_samples((pictures, targets), flips, generator)
         assert torch.equal(targets, 10.0 * pictures)
         seen.add(tuple(pictures.ravel().tolist()))
     assert seen == {(6, 7, 8, 9, 10, 11), (8, 7, 6, 11, 10, 9), (9, 10, 11, 6, 7, 8),
@@ -253,7 +249,7 @@ TARGETS = INPUTS @ np.float32([[1.0], [-2.0], [0.5]])
 
 def samples(inputs, targets):
     x, y = torch.tensor(inputs), torch.tensor(targets)
-    return Samples(lambda chosen, _: (x[chosen], y[chosen]), len(x))
+    return network_training.Samples(lambda chosen, _: (x[chosen], y[chosen]), len(x))
 
 
 def fit(validation=None, rate=0.1, epochs=12):
@@ -262,7 +258,7 @@ def fit(validation=None, rate=0.1, epochs=12):
     torch.nn.init.zeros_(network.weight)
     settings = NetworkSettings(rate, epochs=epochs, batch=16, one_cycle=False)
     given, loss = samples(INPUTS, TARGETS), torch.nn.functional.mse_loss
-    history = train_network(
+    history = network_training.train_network(
         network, given.batch, loss, given.count, settings, 0, lambda *_: None, validation
     )
     return history, network.weight.detach().numpy()
