@@ -10,6 +10,7 @@ import sys
 import threading
 from collections import namedtuple
 from dataclasses import replace
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import h5py
@@ -18,7 +19,7 @@ import pytest
 
 from eitskin.datasets import Recipe, generate, open_dataset
 from eitskin.datasets.generation import generate as generation
-from eitskin.datasets.generation import shard_simulation
+from eitskin.datasets.generation import preparation, shard_simulation
 from eitskin.datasets.generation.preparation import estimate_cost, free_bytes, solved_frames
 from eitskin.datasets.generation.shard_simulation import simulate_frames, simulate_shard
 from eitskin.datasets.recipe.episode import RandomEpisodes
@@ -277,6 +278,47 @@ def test_size_is_that_of_the_files(tmp_path):
     size = sum(path.stat().st_size for path in (tmp_path / "set").glob("shard-*"))
     assert found.megabytes == pytest.approx(size / 1e6, rel=0.02)
     assert size > LEAST_BYTES
+
+
+def clocked(monkeypatch, seconds_per_frame):
+    """Each run of frames lasts so long, 3 s more the first time; lists the frames of each run."""
+    now, runs = [0.0], []
+
+    def simulated(_recipe, numbers):
+        now[0] += seconds_per_frame * len(numbers) + (0.0 if runs else 3.0)
+        runs.append(list(numbers))
+        return numbers
+
+    def solved(*_):
+        now[0] += 0.25
+
+    clock = SimpleNamespace(perf_counter=lambda: now[0])
+    size = SimpleNamespace(shard_bytes=lambda frames: bytes(1000 + 10 * len(frames)))
+    parts = {"time": clock, "simulate_frames": simulated, "flat_impedance": solved} | vars(size)
+    for name, part in (parts | {"prepare": Mock()}).items():
+        monkeypatch.setattr(preparation, name, part)
+    return runs
+
+
+def test_cost_counts_frames_specimens_of_each_shard_and_what_a_process_does_once(
+    tmp_path, monkeypatch
+):
+    runs = clocked(monkeypatch, 0.01)
+    recipe = replace(CHEAP, specimens=Specimens(count=2, conductivity=0.05))
+    found = estimate_cost(recipe, tmp_path, workers=1)
+    assert found.seconds == pytest.approx(3.0 + 120 * 0.01 + (1 + 2 + 1) * 0.25)
+    assert found.megabytes == pytest.approx((3 * 1000 + 120 * 10) / 1e6)
+    assert found.measured_frames == len(set(runs[-1])) == 50
+    assert {number // 50 for number in runs[-1]} == {0, 1, 2}
+
+
+def test_cost_of_frames_that_take_long_is_that_of_the_first_two(tmp_path, monkeypatch):
+    runs = clocked(monkeypatch, 6.0)
+    pressed = SceneGroup("touch", support=Free(), count=10)
+    found = estimate_cost(replace(CHEAP, scenes=(pressed,)), tmp_path, workers=1)
+    assert (len(runs), found.measured_frames) == (1, 2)
+    assert found.seconds == pytest.approx(10 * 7.5)
+    assert found.megabytes == pytest.approx(10 * 510 / 1e6)
 
 
 def test_a_disk_without_room_is_refused_before_anything_is_made(tmp_path, monkeypatch):

@@ -251,6 +251,7 @@ def test_the_mounts_fill_their_ranges_evenly():
     places = np.array([[clamp.span, clamp.offset] for clamp in clamps])
     assert abs(np.corrcoef(places.T)[0, 1]) < 0.1
     assert {clamp.faces for clamp in clamps} == {"both", "bottom"}
+    assert Mounts(64).mechanics(63, Mechanics()) == Mechanics()
 
 
 @pytest.mark.slow
