@@ -7,7 +7,6 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from eitskin.datasets import State
 from eitskin.extras import require
@@ -322,6 +321,8 @@ def find_touches(
         outline: length and width that the map covers [m].
         threshold: threshold of the probabilities.
     """
+    from scipy import ndimage  # which few commands need
+
     values = np.asarray(touch_map, dtype=float)
     labels, count = ndimage.label(values > threshold, structure=np.ones((3, 3)))
     numbers = np.arange(1, count + 1)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 from scipy.sparse import csr_array, vstack
 from scipy.spatial import cKDTree
 
@@ -285,6 +284,8 @@ def segment(values: Array, grid: PixelGrid) -> NDArray[np.int8]:
     Regions reach to `EDGE_SHARE` of their own largest change; small ones are left out. A sign whose
     changes are small next to the other's is none.
     """
+    from scipy import ndimage  # which few commands need
+
     inside = np.nan_to_num(values)
     classes = np.zeros(values.shape, dtype=np.int8)
     for sign in (-1, 1):
@@ -302,6 +303,8 @@ def segment(values: Array, grid: PixelGrid) -> NDArray[np.int8]:
 
 def picture_regions(values: Array, grid: PixelGrid) -> list[PictureRegion]:
     """Regions of an image (rows, columns), the largest first."""
+    from scipy import ndimage  # which few commands need
+
     classes, regions = segment(values, grid), []
     for sign in (-1, 1):
         labels, count = ndimage.label(classes == sign)
