@@ -15,7 +15,7 @@ def made_up_frames(change, angle_deg, specimen, noise, *, features=0, clamp=np.n
         specimen: number of the specimen (n,).
         noise: standard deviation of every change, or the covariance of a frame's (C, C).
         features: of the specimen (n, P), or the number of features, which are zero.
-        clamp: properties of the clamp (n, 4); unknown by default.
+        clamp: properties of the clamp (n, 4), or (n, 5) with plates; unknown by default.
         touches: x [m], y [m] and force [N] (n, k, 3); none by default.
     """
     count, channels = change.shape
@@ -28,7 +28,7 @@ def made_up_frames(change, angle_deg, specimen, noise, *, features=0, clamp=np.n
         np.zeros(count, np.int64),
         np.ones_like(change),
         np.zeros((count, features)) if np.isscalar(features) else features,
-        np.broadcast_to(clamp, (count, 4)),
+        np.broadcast_to(clamp, (count, np.shape(clamp)[-1] if np.ndim(clamp) else 4)),
         Combinations(np.sqrt(np.diagonal(covariance))),
         1.0,
         covariance,

@@ -59,7 +59,7 @@ ROUNDS = 3  # of finding latent variables and unknown forces in turn
 
 def adapted_curve(
     curves: BendCurvePrior,
-    usual: BendCurvePrior | None,
+    usual: Sequence[BendCurvePrior],
     features: Array,
     known_frames: KnownFrames,
     combined: Combined,
@@ -73,7 +73,7 @@ def adapted_curve(
 
     Args:
         curves: prior of the curve of any sensor.
-        usual: curve of one in the usual clamp, if there is one.
+        usual: curves of one in each of the usual clamps.
         features: features of the sensor (P,).
         known_frames: untouched frames at known angles.
         combined: combinations of a change of log V (C,), given the sum of the reciprocal numbers of
@@ -84,8 +84,8 @@ def adapted_curve(
     Raises DataError for angles that contradict each other, or any sensor learned from.
     """
     priors, odds = [curves.predict_widened(features, WIDENING)], [0.0]
-    if usual is not None:
-        priors.append(usual.predict_widened(features, USUAL_WIDENING))
+    for each in usual:
+        priors.append(each.predict_widened(features, USUAL_WIDENING))
         odds.append(LOG_ODDS)
     seen, static = known_frames.observations, log_change(known_frames.observations.static)
     # A measurement that is bad at one angle is left out of all: they share the flat frames.

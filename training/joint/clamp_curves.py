@@ -2,7 +2,8 @@
 
 A set holds some dozens of clamps, whose bends are solved one by one; networks trained on these
 alone learn each exactly. The mean curve of a clamp is a smooth function of its free length, axis,
-held faces and stiffness, and so it is known for any other.
+held faces and stiffness, to which plates that carry the sensor add another, and so it is known for
+any other.
 """
 
 from dataclasses import dataclass
@@ -80,8 +81,8 @@ class ClampCurves:
 
 
 def _coordinates(clamps: Array) -> Array:
-    """Properties of clamps (S, 4), each from -1 to 1; those that do not differ are left out."""
-    values = np.column_stack([clamps[:, :3], np.log(clamps[:, 3])])
+    """Properties of clamps (S, 5), each from -1 to 1; those that do not differ are left out."""
+    values = np.column_stack([clamps[:, :3], np.log(clamps[:, 3]), clamps[:, 4:]])
     if not len(values):
         return values
     low, high = values.min(axis=0), values.max(axis=0)

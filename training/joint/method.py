@@ -109,7 +109,7 @@ class JointMethod(Method):
             curve alone shows it as well.
         angle_features: angle features of a specimen, which the networks are given; None where those
             are `features`.
-        usual: bend curves of the clamp that most sensors have, if training found one.
+        usual, other_usual: bend curves of the commonest clamp and of sensors on plates, or None.
         other_response: another response that a sensor may have, as to touches on plates.
         forces: whether touches have forces; else these are strengths, relative to the usual touch.
         error_scale: factor of the standard errors of places, from training specimens that the
@@ -148,6 +148,7 @@ class JointMethod(Method):
     angles: AngleNetworks | None = None
     angle_features: SpecimenFeatures | None = None
     usual: BendCurvePrior | None = None
+    other_usual: BendCurvePrior | None = None
     other_response: TouchResponse | None = None
     forces: bool = True
     error_scale: Annotated[ErrorScale, GIVEN_FIELD] = field(default_factory=ErrorScale)
@@ -281,9 +282,9 @@ class JointMethod(Method):
             inputs = network_inputs(change.change, deviation, angle_deg, specimen.features)
             return self.proposals.places(inputs, self.touch_prior.separation)
 
-        usual, curve, other = specimen.usual, specimen.curve, specimen.other
-        if usual and angle_deg != 0.0 and reference.usual > 0.5:
-            curve = usual
+        curve, other = specimen.curve, specimen.other
+        if specimen.usual and angle_deg != 0.0 and reference.usual > 0.5:
+            curve = specimen.usual[reference.usual_curve]
 
         def fit(model: SpecimenModel, curve: BendCurve) -> PlainFit:
             objective = TouchObjective(change, angle_deg, model.response, curve, self.touch_prior)
@@ -291,10 +292,12 @@ class JointMethod(Method):
             return fit_plain(objective, candidates, propose if self.touches else None)
 
         likelier = fit(specimen, curve)
-        if usual and angle_deg == 0.0 and abs(likelier.best.at.angle_deg) >= MOVED_DEG:
-            rival = fit(specimen, usual)
-            if rival.best.beats(likelier.best, LOG_ODDS):
-                likelier, curve = rival, usual
+        if angle_deg == 0.0 and abs(likelier.best.at.angle_deg) >= MOVED_DEG:
+            odds = LOG_ODDS
+            for usual in specimen.usual:
+                rival = fit(specimen, usual)
+                if rival.best.beats(likelier.best, odds):
+                    likelier, curve, odds = rival, usual, 0.0
         likelier = likelier.without_faults(specimen.faults)
         if other and likelier.may_be_touched and likelier.may_fit_better(other.response):
             rival = fit(other, curve).without_faults(specimen.faults)
@@ -347,6 +350,7 @@ class JointMethod(Method):
             p, learned = self.features.clip(flat), self.calibrated is None
             shown = self.angle_features.apply(flat) if self.angle_features else p
             features, own = self.features.apply(flat), self.own_output is not None
+            priors = [u for u in (self.usual, self.other_usual) if u and learned]
             self._specimens[key] = SpecimenModel(
                 p,
                 self.responses(flat)[0] if own else self.response.for_specimen(features),
@@ -354,7 +358,7 @@ class JointMethod(Method):
                 possible_faults(self.protocol, flat),
                 calibration_problems(flat, self.calibrated_flat),
                 (self.angles, shown) if self.angles and learned else None,
-                self.usual.predict(p) if self.usual and learned else None,
+                tuple(each.predict(p) for each in priors),
                 None if own or not self.other_response else (self.other_response, features),
             )
         return self._specimens[key]
@@ -395,7 +399,7 @@ class JointMethod(Method):
             own_other=False,
         )
         if len(bent):
-            priors = self.bend_prior, self.usual, p
+            priors = self.bend_prior, [u for u in (self.usual, self.other_usual) if u], p
             curve, calibration = adapted_curve(
                 *priors, bent, adapted._project_change, self.drift, noise
             )

@@ -32,7 +32,7 @@ class MirroredFrames:
         flat: magnitudes of the frame's specimen, flat and untouched (n, C) [ohm].
         features: features of the specimen (n, P); none before `combine`.
         clamp: span [m], offset [m], number of held faces and ratio of the moduli of each frame's
-            clamp (n, 4); NaN where unknown.
+            clamp, NaN where unknown, and whether its plates carry the sensor (n, 5).
         combinations: combinations of the measurements; each on its own before `combine`.
         variance: variance of the change, in units of that of one frame.
         noise: covariance of one frame's change (K, K).
@@ -84,7 +84,8 @@ class MirroredFrames:
         x, y, force = (
             values[rows].astype(float) for values in (data.touch_x, data.touch_y, data.touch_force)
         )
-        clamps = np.stack([getattr(data, name)[rows] for name in CLAMP_FIELDS], axis=1)
+        clamps = [getattr(data, name)[rows] for name in CLAMP_FIELDS]
+        clamps.append(data.support_gap[rows] > 0.0)
         alone = Combinations(frame_noise(data, images))
         touches = [np.stack([*mirror.places(x, y), force], axis=-1) for mirror in images]
         return cls(
@@ -95,7 +96,7 @@ class MirroredFrames:
             np.repeat(np.arange(len(images)), len(rows)),
             np.concatenate([flat[:, mirror.order] for mirror in images]),
             np.zeros((len(rows) * len(images), 0)),
-            np.tile(clamps.astype(float), (len(images), 1)),
+            np.tile(np.stack(clamps, axis=1).astype(float), (len(images), 1)),
             alone,
             variance,
             np.diag(variance * alone.noise**2),

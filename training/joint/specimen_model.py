@@ -64,7 +64,8 @@ class AngleEstimate:
         faults: whose measurements were left out.
         log_evidence: logarithm of the density of the frame, whatever its angle, but for a constant
             (Laplace's approximation).
-        usual: probability that the sensor bends as usual (`usual.py`).
+        usual: probability that the sensor bends as usual.
+        usual_curve: number of the usual curve that it then has.
         rival: faults of a flat sensor that explain the frame about as well, in words.
         by_curve: angle and standard error [deg] by the bend curve, where networks show the angle.
     """
@@ -75,6 +76,7 @@ class AngleEstimate:
     faults: tuple[ChannelFault, ...] = ()
     log_evidence: float = 0.0
     usual: float = 0.0
+    usual_curve: int = 0
     by_curve: tuple[float, float] | None = None
     rival: str = ""
 
@@ -260,8 +262,8 @@ class SpecimenModel:
         faults: faults that are considered.
         problems: reasons to doubt the model, in words.
         networks: networks of the angle, with the features that they are given; None without.
-        usual: bend curve, should the specimen bend as usual; None where nothing is usual or the
-            curve is known.
+        usual: bend curves, one of which is the specimen's should it bend as usual; none where
+            nothing is usual or the curve is known.
         second: another response that it may have, as to touches on plates, and the features that
             this is given; None where none was learned or the response is known.
     """
@@ -272,7 +274,7 @@ class SpecimenModel:
     faults: PossibleFaults
     problems: tuple[str, ...] = ()
     networks: tuple[AngleNetworks, Array] | None = None
-    usual: BendCurve | None = None
+    usual: tuple[BendCurve, ...] = ()
     second: tuple[TouchResponse, Array] | None = None
     _angles: dict[bytes, AngleEstimate] = field(default_factory=dict, init=False)
     _candidates: dict[int, TouchCandidates] = field(default_factory=dict, init=False)
@@ -300,7 +302,7 @@ class SpecimenModel:
 
     def bends_since(self, reference: AngleEstimate, angle_deg: float) -> bool:
         """Whether a frame at an angle shows how a sensor bends that was flat in its reference."""
-        flat = self.usual is not None and reference.angle_deg == 0.0
+        flat = bool(self.usual) and reference.angle_deg == 0.0
         return flat and abs(angle_deg) >= MOVED_DEG
 
     def _flat_but_for_a_contact(
@@ -330,9 +332,11 @@ class SpecimenModel:
 
         Mean and standard error are those of the mixture, faults and misfit of the likelier one.
         """
-        if self.usual is None:
+        if not self.usual:
             return self._angle_of_any(combined)
-        usual = robust_angle(self.usual, combined, self.faults)
+        each = [robust_angle(curve, combined, self.faults) for curve in self.usual]
+        number = max(range(len(each)), key=lambda n: (-len(each[n].faults), each[n].log_evidence))
+        usual = replace(each[number], usual_curve=number)
         # Densities of the same measurements are compared; faults have the price of being found.
         fewer = combined.drop(usual.left_out) if usual.faults else combined
         other = self._angle_of_any(fewer)
@@ -341,12 +345,14 @@ class SpecimenModel:
         share, doubted = expit(np.array([1.0, TEMPER]) * evidence + log_odds).tolist()
         if usual.faults and share < 0.5:
             return self._angle_of_any(combined)
-        by_other, by_usual = ((each.angle_deg, each.deviation_deg) for each in (other, usual))
+        by_other, by_usual = ((one.angle_deg, one.deviation_deg) for one in (other, usual))
         angle, _ = mixture_moments(by_other, by_usual, share)
         mean, spread = mixture_moments(by_other, by_usual, doubted)
         deviation = math.hypot(spread, mean - angle)
         likelier = usual if share > 0.5 else other
-        return replace(likelier, angle_deg=angle, deviation_deg=deviation, usual=share)
+        return replace(
+            likelier, angle_deg=angle, deviation_deg=deviation, usual=share, usual_curve=number
+        )
 
     def _angle_of_any(self, combined: CombinedChange) -> AngleEstimate:
         """Angle by the curve, and by the networks where all measurements are good.

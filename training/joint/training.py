@@ -3,7 +3,7 @@
 Networks are trained by `touch_training` and `angle_training`, which import torch.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -100,14 +100,14 @@ def fit_joint(
     on_plates = _is_on_plates(whole)
     data = whole.select(~on_plates)
     every = SpecimenFeatures.fit(np.abs(data.reference[np.unique(data.specimen)]), images)
-    touched, bent = (
-        MirroredFrames.from_touched(data, images),
-        MirroredFrames.from_bent(data, images),
-    )
-    kinds = [(each.change, each.variance) for each in (touched, bent) if len(each.change)]
-    combinations = Combinations.fit(kinds, frame_noise(data, images))
+    touched = MirroredFrames.from_touched(data, images)
+    bent = MirroredFrames.from_bent(whole, images)
+    changes = [(each.change, each.variance) for each in (touched, bent) if len(each.change)]
+    combinations = Combinations.fit(changes, frame_noise(data, images))
     run = TrainingRun(every, combinations, settings, seed, progress)
-    bends, losses = fit_bends(run, bent)
+    kinds = (~on_plates, on_plates) if on_plates.any() else (~on_plates,)
+    parts = [MirroredFrames.from_bent(whole.select(rows), images) for rows in kinds]
+    bends, losses = fit_bends(run, bent, parts)
     touches, touch_losses = _fit_touches(run, data, touched, bends["bend_prior"], spec)
     if on_plates.any():
         plates = whole.select(on_plates)
@@ -191,7 +191,7 @@ def _fit_response(
 def _is_on_plates(data: Dataset) -> NDArray[np.bool_]:
     """Whether the sensor of each frame (n,) is touched on plates; of none where those are few.
 
-    Plates change the response to touches alone, so all else is learned from the other sensors.
+    Plates change the response to touches, which is learned apart. Bends are learned together.
     """
     on_plates = (np.bincount(data.specimen, data.support_gap > 0.0) > 0.0)[data.specimen]
     counts = [
@@ -202,11 +202,14 @@ def _is_on_plates(data: Dataset) -> NDArray[np.bool_]:
     return on_plates & (min(counts) >= MIN_FRAMES)
 
 
-def fit_bends(run: TrainingRun, bent: MirroredFrames) -> tuple[dict[str, Any], LearningCurve]:
+def fit_bends(
+    run: TrainingRun, bent: MirroredFrames, parts: Sequence[MirroredFrames] = ()
+) -> tuple[dict[str, Any], LearningCurve]:
     """Fields of the method that show the bend, by name, and losses of the networks of the angle.
 
     Learned from bent frames and the references of touches on the bent sensor, if there are any.
-    Curves depend on the first of the features, networks on all of them.
+    Their `parts` are those of sensors that their clamps alone hold, and of those on plates. Curves
+    depend on the first of the features, networks on all of them.
     """
     first, combinations = run.features.first(), run.combinations
     if not len(bent.change):
@@ -217,12 +220,15 @@ def fit_bends(run: TrainingRun, bent: MirroredFrames) -> tuple[dict[str, Any], L
     run.progress("bend curve", 0, 2)
     curves = BendCurvePrior.fit(frames)
     run.progress("bend curve", 1, 2)
-    usual = usual_curves(frames, curves)
+    held, *carried = [each.combine(first, combinations, drift) for each in parts] or [frames]
+    usual = usual_curves(held, curves)
+    others = [each for each in carried if each.specimens >= MIN_SPECIMENS]
+    other = BendCurvePrior.fit(others[0]) if others else None
     run.progress("bend curve", 2, 2)
     networks, losses = _fit_networks(run, frames, curves)
     features = run.features if networks else None
-    parts = {"bend_prior": curves, "usual": usual, "angles": networks, "angle_features": features}
-    return parts, losses
+    found = {"bend_prior": curves, "usual": usual, "other_usual": other, "angles": networks}
+    return found | {"angle_features": features}, losses
 
 
 def _fit_networks(

@@ -20,8 +20,8 @@ WAYS = np.random.default_rng(0).standard_normal((5, CHANNELS)) * 0.02
 
 def curve(clamps):
     """Coefficients of the angle and its square (n, 2, K): smooth, but not linear, in the clamp."""
-    span, offset, faces, stiffness = np.asarray(clamps).T
-    first = np.column_stack([0.04 / span, offset / 0.01, 1.0 + 0.1 * faces])
+    span, offset, faces, stiffness, *plates = np.asarray(clamps).T
+    first = np.column_stack([0.04 / span, offset / 0.01, 1.0 + 0.1 * faces + 0.5 * sum(plates)])
     second = np.column_stack([np.log(stiffness), np.ones_like(span)])
     return np.stack([first @ WAYS[:3], second @ WAYS[3:]], axis=1)
 
@@ -72,6 +72,32 @@ def test_curves_of_clamps_are_those_of_their_specimens_and_unknown_ones_left_alo
     assert not found.own[~found.known].any()
     scatter = rms(expected(made) - expected(made).mean(axis=0))
     assert rms(at_40(found.own)[1::3] - expected(made)) < 0.05 * scatter
+
+
+def test_plates_that_carry_a_sensor_add_to_the_curve_of_any_clamp(monkeypatch):
+    """They were seen with one clamp alone, and are drawn with others."""
+    held = np.column_stack([clamps_of(60), np.zeros(60)])
+    on_plates = held[:1] + np.eye(5)[4]
+    seen = np.concatenate([held, np.repeat(on_plates, 20, axis=0)])
+    drawn = []
+    sample = clamp_curves._sample_smoothly
+
+    def remember(*args):
+        drawn.append(sample(*args))
+        return drawn[0]
+
+    monkeypatch.setattr(clamp_curves, "_sample_smoothly", remember)
+    frames = bent(seen)
+    prior = BendCurvePrior.fit(frames)
+    found = ClampCurves.fit(frames, prior, prior.expected_coefficients(frames), 0)
+    low, high = (np.append(end[:3], np.log(end[3])) for end in (held.min(axis=0), held.max(axis=0)))
+    there = 0.5 * (drawn[0] + 1.0) * np.append(high - low, 1.0) + np.append(low, 0.0)
+    exact = expected(np.column_stack([there[:, :3], np.exp(there[:, 3]), there[:, 4]]))
+    plates = there[:, 4] > 0.5
+    assert 0.2 < plates.mean() < 0.3
+    scatter = rms(exact - exact.mean(axis=0))
+    for kind in (plates, ~plates):
+        assert rms(at_40(found.drawn)[kind] - exact[kind]) < 0.15 * scatter
 
 
 def thin_plate_spline(places, values, at):

@@ -1,16 +1,22 @@
 """Usual bend curves: the group of specimens that bend alike, and what a frame says of it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from made_up_frames import made_up_frames
 
 from eitskin.simulator import Protocol
+from eitskin.training.joint import training
 from eitskin.training.joint.bend_curve import RANDOM_POWERS, BendCurvePrior
 from eitskin.training.joint.channel_faults import possible_faults
 from eitskin.training.joint.clamp_curves import usual_curves
-from eitskin.training.joint.combinations import Combinations
+from eitskin.training.joint.combinations import Combinations, SpecimenFeatures
 from eitskin.training.joint.mirrored_frames import SCALE
 from eitskin.training.joint.specimen_model import SpecimenModel
+from eitskin.training.joint.training import TrainingRun, fit_bends
+from eitskin.training.method.interface import LearningCurve
+from eitskin.training.method.settings import JointSettings, silent
 
 from on_demand import OnDemand
 
@@ -104,7 +110,8 @@ def test_no_group_is_found_where_none_is(alike, various):
 def test_a_bent_frame_tells_whether_its_sensor_bends_as_usual(everywhere, usual, alike):
     unseen = frames(1, 0, seed=7) if alike else frames(0, 1, seed=8)
     none = possible_faults(Protocol.pairwise(4), np.ones(CHANNELS))
-    both = SpecimenModel(np.zeros(0), None, everywhere.predict(()), none, usual=usual.predict(()))
+    known = (usual.predict(()),)
+    both = SpecimenModel(np.zeros(0), None, everywhere.predict(()), none, usual=known)
     alone, only = (
         SpecimenModel(np.zeros(0), None, prior.predict(()), none) for prior in (everywhere, usual)
     )
@@ -123,3 +130,28 @@ def test_a_bent_frame_tells_whether_its_sensor_bends_as_usual(everywhere, usual,
         else:
             assert found.angle_deg == pytest.approx(before.angle_deg, abs=1e-6)
             assert found.deviation_deg == pytest.approx(before.deviation_deg, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_sensors_on_plates_have_usual_curves_of_their_own(monkeypatch, mixture, everywhere):
+    """Where there are enough; a bent frame shows which of the usual curves its sensor has."""
+    monkeypatch.setattr(training, "_fit_networks", lambda *_: (None, LearningCurve()))
+    none = SpecimenFeatures(np.zeros(CHANNELS), np.zeros((0, CHANNELS)))
+    run = TrainingRun(none, COMBINATIONS, JointSettings(drift=1e-6), 0, silent)
+
+    def carried(count, seed=5):
+        held = frames(count, 0, seed)
+        return replace(held, change=0.8 * held.change)
+
+    learned, _ = fit_bends(run, mixture, [mixture, carried(110)])
+    curves = [learned[name].predict(()) for name in ("usual", "other_usual")]
+    held, on_plates = (curve.value(30.0) for curve in curves)
+    assert on_plates @ held / (held @ held) == pytest.approx(0.8, rel=0.02)
+    assert fit_bends(run, mixture, [mixture, carried(60)])[0]["other_usual"] is None
+    faults = possible_faults(Protocol.pairwise(4), np.ones(CHANNELS))
+    model = SpecimenModel(np.zeros(0), None, everywhere.predict(()), faults, usual=tuple(curves))
+    for number, unseen in enumerate((frames(1, 0, seed=7), carried(1, seed=7))):
+        for change, angle in list(zip(unseen.change, ANGLES, strict=True))[3:]:
+            bend = model.angle(COMBINATIONS.combine(change, 1.0, 0.0))
+            assert (bend.usual > 0.5, bend.usual_curve) == (True, number)
+            assert abs(bend.angle_deg - angle) < 3.0 * bend.deviation_deg

@@ -366,7 +366,8 @@ def test_it_tells_angles_of_another_clamp_and_how_surely():
     angles = np.array([-15.0, 10.0, 20.0, 30.0, 40.0])
     known = session.pipeline.method
     ratios = []
-    for method in (known, replace(known, bend_prior=known.usual, usual=None, angles=None)):
+    narrow = replace(known, bend_prior=known.usual, usual=None, other_usual=None, angles=None)
+    for method in (known, narrow):
         session.pipeline.method = method
         session.pipeline.reset()
         session(Scene())
