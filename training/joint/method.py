@@ -292,12 +292,12 @@ class JointMethod(Method):
             return fit_plain(objective, candidates, propose if self.touches else None)
 
         likelier = fit(specimen, curve)
-        if angle_deg == 0.0 and abs(likelier.best.at.angle_deg) >= MOVED_DEG:
-            odds = LOG_ODDS
-            for usual in specimen.usual:
-                rival = fit(specimen, usual)
-                if rival.best.beats(likelier.best, odds):
-                    likelier, curve, odds = rival, usual, 0.0
+        if specimen.usual and not angle_deg and abs(likelier.best.at.angle_deg) >= MOVED_DEG:
+            by_touches = likelier.best.at.changes.sum(axis=0)
+            usual = specimen.likeliest_usual(change.change - by_touches, change.noise)
+            rival = fit(specimen, usual)
+            if rival.best.beats(likelier.best, LOG_ODDS):
+                likelier, curve = rival, usual
         likelier = likelier.without_faults(specimen.faults)
         if other and likelier.may_be_touched and likelier.may_fit_better(other.response):
             rival = fit(other, curve).without_faults(specimen.faults)

@@ -300,6 +300,15 @@ class SpecimenModel:
             self._angles[key] = self._flat_but_for_a_contact(combined, bend) or bend
         return self._angles[key]
 
+    def likeliest_usual(self, change: Array, noise: Array) -> BendCurve:
+        """The usual curve by which a change (K,) with covariance (K, K) is likeliest."""
+
+        def log_evidence(curve: BendCurve) -> float:
+            _, information, (residual, _), width = _score_angle(curve, change, noise, None)
+            return -0.5 * math.log(information) - width - 0.5 * float(residual @ residual)
+
+        return max(self.usual, key=log_evidence)
+
     def bends_since(self, reference: AngleEstimate, angle_deg: float) -> bool:
         """Whether a frame at an angle shows how a sensor bends that was flat in its reference."""
         flat = bool(self.usual) and reference.angle_deg == 0.0
