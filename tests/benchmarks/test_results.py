@@ -347,6 +347,7 @@ def test_a_run_that_is_no_entry_is_refused_before_the_work(tmp_path, words):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs Linux")
 def test_peak_memory_is_that_of_a_process_without_its_parents():
     block = np.ones(60_000_000)

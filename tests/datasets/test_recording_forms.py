@@ -136,6 +136,7 @@ def test_positions_of_other_units_and_beside_the_sensor_are_refused(tmp_path, x,
         on_the_reference(tmp_path, x, y, form)
 
 
+@pytest.mark.slow
 def test_several_files_are_sessions_of_one_recording(tmp_path):
     for day in (1, 2):
         csv_file(tmp_path / f"day{day}.csv", ["v0", "v1", "state"], [[day, 3, "idle"]] * 2)

@@ -42,6 +42,7 @@ touch, , 0.05, 0.02, 9, 0.5, 4, 5, 6, 11, 21, 31
 """
 
 
+@pytest.mark.slow
 def test_csv_with_everything(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text(CSV, encoding="utf-8")

@@ -104,6 +104,7 @@ def flipped(content, bit, places):
         yield content[:place] + bytes([content[place] ^ bit]) + content[place + 1 :]
 
 
+@pytest.mark.slow
 def test_chunks_that_a_flipped_bit_would_leave_compressed_are_refused(shard):
     """The list of filters has another type; a chunk lies elsewhere, or is marked as raw."""
     whole, _ = verify_checksum(shard.read_bytes())

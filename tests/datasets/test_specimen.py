@@ -285,6 +285,7 @@ def test_plates_under_a_clamped_sensor_hold_its_lower_face_and_hinges_none(chang
     assert data.support_gap[0] == np.float32(0.030 if changes else 0.0)
 
 
+@pytest.mark.slow
 def test_the_gap_between_plates_is_that_of_each_specimen():
     design = dataclasses.replace(SensorDesign.reference(), support=Plates(0.040))
     spread = Specimens(count=4, hinge_span=0.002)

@@ -44,6 +44,7 @@ def on_a_ball(folder, **options):
 # Layers and supports
 
 
+@pytest.mark.slow
 def test_layers_conduct_by_height_and_surfaces_are_found_beside_the_design(tmp_path):
     layers = (Layer(0.001, 0.5), Layer(0.003, 2.0), Layer(0.001, 10.0))
     design = dataclasses.replace(REFERENCE, layers=layers)

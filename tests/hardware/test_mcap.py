@@ -136,6 +136,7 @@ NO_TOUCHES = {"state": State.IDLE, "touches": ()}
 UNKNOWN_STATE = {"state": None, "probabilities": np.full(3, UNKNOWN), **NOTHING}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "problem", "status", "topics"),
     [

@@ -112,6 +112,7 @@ def test_a_client_that_reads_late_gets_the_newest_after_a_few_old_ones(served):
         assert len(got) < 10
 
 
+@pytest.mark.slow
 def test_a_client_that_reads_nothing_holds_nobody_up_and_is_let_go(served, monkeypatch):
     monkeypatch.setattr("eitskin.hardware.streams.STALL_TIMEOUT", 0.5)
     big = "x" * 2**20

@@ -142,6 +142,7 @@ def test_late_lines_are_no_pause_and_marks_need_none():
     assert finder.drops == {FrameDrop.FIRST: 3, FrameDrop.INCOMPLETE: 5}
 
 
+@pytest.mark.slow
 @settings(max_examples=60, derandomize=True)
 @given(st.sets(st.tuples(st.integers(0, 19), st.integers(0, 5))), st.booleans())
 def test_whatever_lines_are_lost_no_value_stands_for_another(lost, marked):

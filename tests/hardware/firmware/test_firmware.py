@@ -66,6 +66,7 @@ def test_a_reboot_counts_and_starts_the_numbers_again():
     assert [frame.number for frame in frames(board, 2)] == [2**32 - 1, 0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [

@@ -184,6 +184,7 @@ def test_over_the_gap_a_solved_angle_follows_from_the_others():
     assert (np.linalg.norm(missing, axis=-1) < 0.06 * sizes).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("angle", "x"), [(0.0, 0.075), (50.0, 0.068)])
 def test_presses_over_a_gap_are_refused_from_the_force_that_the_refusal_names(unsolved, angle, x):
     """Unsolved, since that takes minutes; 6 N sink 12.2 mm at 50 degrees by the solution in 3D."""

@@ -342,6 +342,7 @@ def test_everything_missing_is_solved_once_and_reported(cache) -> None:
     store.prepare(problems, lambda *_: pytest.fail("nothing is missing"))
 
 
+@pytest.mark.slow
 def test_a_process_that_dies_is_reported_in_words() -> None:
     with pytest.raises(PartialError, match=r"__main__"), processes(2) as run:
         list(run(signal.raise_signal, [signal.SIGKILL]))

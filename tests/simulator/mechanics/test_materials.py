@@ -153,6 +153,7 @@ def test_one_term_creeps_as_the_standard_linear_solid(g):
     assert amplitude == pytest.approx(g / (1 - g), rel=1e-14)
 
 
+@pytest.mark.slow
 @steady
 @given(spectra())
 def test_any_dual_is_one(prony):

@@ -93,6 +93,7 @@ def squeezed(solid, height):
     return Load(fixed, np.concatenate([moved, 0.0 * axis]), np.zeros(solid.unknowns))
 
 
+@pytest.mark.slow
 def test_work_is_the_energy_stored_also_with_earlier_factors_and_a_scale():
     """A cylinder squeezed between rough plates, by Simpson's rule over the stroke."""
     mesh = skfem.MeshQuad.init_tensor(np.linspace(0, 1, 5), np.linspace(0, 1, 5))

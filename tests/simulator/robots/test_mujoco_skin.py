@@ -46,6 +46,7 @@ def weight(geom, x, y, z, mass):
     )
 
 
+@pytest.mark.slow
 def test_balls_press_the_upper_face_alone_by_their_weight_however_it_stands(simulator):
     """A skin tilted by 20 degrees about x and turned about z feels the part along its normal."""
     model, data = loaded(weight('type="sphere" size=".0075"', 0.02, -0.01, 0.014, 0.5))

@@ -33,6 +33,7 @@ FEW = Grading(2e-3, 5e-3, 1.0)
 BAR = bar_between_electrodes(contact_impedance=1e-3)  # the current density is 1 / area
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["hexahedra", "prisms"])
 def test_lines_of_current_in_a_bar_are_straight_and_carry_its_density(kind) -> None:
     model = ForwardModel(BAR, ((1, 1), FEW), cells=kind)

@@ -77,6 +77,7 @@ def table():
     return features, truth - truth.mean(axis=0)
 
 
+@pytest.mark.slow
 def test_ridge_and_trees_are_those_of_scikit_learn(table):
     features, truth = table
     errors, fits = [], []

@@ -272,6 +272,7 @@ def test_pairs_are_as_many_as_can_be_and_then_the_nearest(true, found, distances
 places = st.lists(st.tuples(*[st.floats(0, 0.1)] * 2), max_size=5)
 
 
+@pytest.mark.slow
 @given(true=places, found=places)
 def test_ospa_distance_is_a_capped_assignment_with_misses_at_the_cutoff(true, found):
     a, b = (np.reshape(each, (-1, 2)) for each in (true, found))

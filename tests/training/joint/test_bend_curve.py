@@ -120,6 +120,7 @@ def posterior(curve, angles, change, noise):
     return curve.effects.ravel() + covariance @ evidence, covariance
 
 
+@pytest.mark.slow
 def test_stated_error_is_that_of_many_frames(curve, rng):
     """Standardised errors over specimens and noise, with a bad channel in half of the frames."""
     for angle in (-15.0, 10.0, 40.0):

@@ -74,6 +74,7 @@ def test_curves_of_clamps_are_those_of_their_specimens_and_unknown_ones_left_alo
     assert rms(at_40(found.own)[1::3] - expected(made)) < 0.05 * scatter
 
 
+@pytest.mark.slow
 def test_plates_that_carry_a_sensor_add_to_the_curve_of_any_clamp(monkeypatch):
     """They were seen with one clamp alone, and are drawn with others."""
     held = np.column_stack([clamps_of(60), np.zeros(60)])

@@ -61,6 +61,7 @@ def usual(mixture, everywhere):
 # Likelihoods
 
 
+@pytest.mark.slow
 def test_likelihood_of_a_specimen_is_that_of_a_normal_vector():
     """Beside the whole covariance of its frames, written out."""
     mixture = frames(12, 8)

@@ -54,6 +54,7 @@ def merit_of(maker):
     return figures_of_merit(shown[maker.grid.inside], maker.grid, place, -1e-4)
 
 
+@pytest.mark.slow
 def test_bad_dead_and_stuck_channels_are_left_out_and_wrong_frames_refused(greit):
     before = np.asarray(greit.model.impedance)
     after = before * (1.0 + 0.01 * np.sin(np.arange(len(PROTOCOL))))
