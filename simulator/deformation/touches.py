@@ -373,7 +373,7 @@ def _require_carried(touches: list[DentedTouch], sensor: PressedSensor) -> None:
             forces = np.array([each.dent.force for each in dented if each.dent])
             depths = np.array([each.depth for each in dented]) + sunk
             linear, square = np.linalg.solve(np.stack([forces, forces**2], axis=1), depths)
-            if square < 0.0:  # next to a plate, as far as which nothing is refused
+            if square < 0.0:  # next to a plate, which carries a part
                 continue
             least = linear * dent.force + square * dent.force**2
             most = 2.0 * thickness / (linear + math.sqrt(linear**2 + 4.0 * square * thickness))

@@ -221,14 +221,14 @@ def fit_bends(
     curves = BendCurvePrior.fit(frames)
     run.progress("bend curve", 1, 2)
     held, *carried = [each.combine(first, combinations, drift) for each in parts] or [frames]
-    usual = usual_curves(held, curves)
-    others = [each for each in carried if each.specimens >= MIN_SPECIMENS]
+    usual = usual_curves(held, curves) if len(held.change) else None
+    others = [each for each in carried if len(each.change) and each.specimens >= MIN_SPECIMENS]
     other = BendCurvePrior.fit(others[0]) if others else None
     run.progress("bend curve", 2, 2)
     networks, losses = _fit_networks(run, frames, curves)
     features = run.features if networks else None
-    found = {"bend_prior": curves, "usual": usual, "other_usual": other, "angles": networks}
-    return found | {"angle_features": features}, losses
+    fields = {"bend_prior": curves, "usual": usual, "other_usual": other, "angles": networks}
+    return fields | {"angle_features": features}, losses
 
 
 def _fit_networks(

@@ -148,7 +148,10 @@ def test_sensors_on_plates_have_usual_curves_of_their_own(monkeypatch, mixture, 
     curves = [learned[name].predict(()) for name in ("usual", "other_usual")]
     held, on_plates = (curve.value(30.0) for curve in curves)
     assert on_plates @ held / (held @ held) == pytest.approx(0.8, rel=0.02)
-    assert fit_bends(run, mixture, [mixture, carried(60)])[0]["other_usual"] is None
+    for few in (carried(60), mixture[:0]):
+        assert fit_bends(run, mixture, [mixture, few])[0]["other_usual"] is None
+    alone, _ = fit_bends(run, carried(110), [mixture[:0], carried(110)])
+    assert (alone["usual"], alone["other_usual"] is None) == (None, False)
     faults = possible_faults(Protocol.pairwise(4), np.ones(CHANNELS))
     model = SpecimenModel(np.zeros(0), None, everywhere.predict(()), faults, usual=tuple(curves))
     for number, unseen in enumerate((frames(1, 0, seed=7), carried(1, seed=7))):
