@@ -18,7 +18,9 @@ demo: $(VENV)/installed
 test: $(VENV)/installed
 	$(BIN)/python -m pytest $(WORKERS) $(ARGS)
 
-# All but the tests marked slow.
+# All but the tests marked slow, in plain Python: numba compiles for as long as all of them take.
+# `make quick EITSKIN_PLAIN=` compiles.
+quick: export EITSKIN_PLAIN ?= 1
 quick: $(VENV)/installed
 	$(BIN)/python -m pytest $(WORKERS) -m "not slow" $(ARGS)
 
