@@ -8,6 +8,7 @@ import pytest
 
 from eitskin.datasets import Dataset, ShardWriter, State, open_dataset, save_dataset, touch_maps
 from eitskin.datasets.store import folder as folders
+from eitskin.datasets.store.summary import DatasetSummary
 from eitskin.errors import ConfigurationError, DataError, FrameError
 from eitskin.simulator import Frame, Protocol, Status, Touch
 
@@ -58,6 +59,13 @@ def test_parts_share_the_references_of_their_specimens():
 
 
 # Touch maps
+
+
+def test_summaries_count_frames_by_their_touches():
+    data, summary = make(12), DatasetSummary()
+    crowded = np.where(np.arange(12)[:, None] == 2, 0.05, data.touch_x)
+    summary.add(dataclasses.replace(data, touch_x=crowded, touch_y=crowded))
+    assert summary.contents()["touches_per_frame"] == {"0": 6, "1": 5, "4": 1}
 
 
 def test_touch_maps_are_discs_of_the_right_area_and_place():
@@ -201,7 +209,9 @@ def test_columns_beyond_the_memory_are_refused(folder, monkeypatch):
     found = open_dataset(folder)
     monkeypatch.setattr(folders.os, "sysconf", lambda _: 90)  # 8,100 bytes
     assert len(found.state) == 50
-    for too_much in (lambda: found.impedance, lambda: found.select(range(40))):
+    monkeypatch.setattr(folders, "READ_AT_ONCE", 1 << 20)
+    sizes = (lambda: found.impedance, lambda: found.select(range(40)), lambda: open_dataset(folder))
+    for too_much in sizes:
         with pytest.raises(ConfigurationError, match="read_shards"):
             too_much()
     assert len(found.select([3])) == 1

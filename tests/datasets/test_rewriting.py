@@ -67,10 +67,12 @@ def test_numbers_of_averaged_frames_stay_where_all_sets_have_the_same(simulated,
 
 
 def test_magnitudes_go_with_impedances_where_that_is_wanted(simulated, tmp_path):
-    combine([simulated, own(tmp_path, quantity="magnitude")], tmp_path / "both", magnitudes=True)
+    one_dead = make(12, specimens=2).reference * (np.arange(28) > 0)
+    measured = own(tmp_path, quantity="magnitude", reference=one_dead)
+    combine([measured, simulated], tmp_path / "both", magnitudes=True)
     both = open_dataset(tmp_path / "both")
     assert both.quantity == "magnitude"
-    assert np.allclose(both.impedance[:40], np.abs(open_dataset(simulated).impedance))
+    assert np.allclose(both.impedance[12:], np.abs(open_dataset(simulated).impedance))
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from eitskin.datasets.recipe.specimen import MAX_DEVIATIONS, Mounts, Specimens
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Clamp, Electrode, Hinge, Layer, Plates, SensorDesign
 from eitskin.simulator import FourTerminalMeter, Instrument, Mechanics
+from eitskin.simulator.bends.pressed_plates import PlateBend
 from eitskin.simulator.deformation import press_table as tables
 from eitskin.simulator.deformation import solution_store
 from eitskin.simulator.deformation.press_table import PressTable, press_table
@@ -214,6 +215,15 @@ def test_forces_must_be_within_reach_of_every_specimen():
     preparation.prepare(one)
     with pytest.raises(ConfigurationError, match=r"force.*above 0"):
         preparation.prepare(dataclasses.replace(one, specimens=Specimens(20, thickness=0.04)))
+
+
+@pytest.mark.usefixtures("presses_by_law")
+def test_touches_on_plates_must_be_within_reach_at_the_middle_of_the_gap(monkeypatch):
+    places = []
+    monkeypatch.setattr(PlateBend, "check", lambda _, __, x, ___: places.append(x))
+    group = SceneGroup("touch", count=2, force=(1.0, 5.0), support=Plates(0.04))
+    preparation.prepare(Recipe("plates", scenes=(group,)))
+    assert set(places) == {0.075}
 
 
 # Sets of many specimens: what a shard solves and holds, and which tables are needed

@@ -183,6 +183,7 @@ def test_arc_length_runs_counter_clockwise_from_where_it_is_said_to():
         np.array([[0.1, 0.05], [0.05, 0.1]])
     )
     assert L_SHAPE.rim_points(L_SHAPE.corners) == pytest.approx(np.array(L_SHAPE.points))
+    assert Polygon(L_SHAPE.points[::-1]).points == (*L_SHAPE.points[-1:], *L_SHAPE.points[:-1])
 
 
 @pytest.mark.parametrize("outline", OUTLINES)

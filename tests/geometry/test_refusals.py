@@ -103,7 +103,7 @@ REFUSALS = [
     ),
     (lambda: placed(Electrode(0.001, 0.01, on="top"), FAR), "0.0015 m beyond"),
     (lambda: placed(electrode(z=0.0, on="surface"), FAR), r'"surface".*Rectangle'),
-    (lambda: placed(FAR, Electrode(0.022, 0.0), Electrode(0.02, 0.0)), r"1 and 2 .*3 mm"),
+    (lambda: placed(FAR, Electrode(0.024, 0.0), Electrode(0.02, 0.0)), r"1 and 2 .*1 mm"),
     (lambda: placed(part(0.02, 0.001), part(0.021, 0.0018)), r"overlap.*0.2 mm"),
     (lambda: placed(*pads(0.02, 0.003)), r"overlap.*2 mm"),
     # layouts

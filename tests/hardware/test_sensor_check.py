@@ -222,6 +222,9 @@ def test_other_protocols_say_what_can_be_said_and_small_readings_are_no_fault():
     assert (finding.what, finding.channels) == (FindingKind.STUCK, (4,))
     (finding,) = check_sensor([Frame(6.0 * z, protocol) for z in measured[:1]], values).findings
     assert finding.what == FindingKind.FACTOR
+    measured[:, 7] = [0.0] * 12 + [4e-4 * values[7]] * 4  # 0.4 % of the least unit
+    *_, finding = check_sensor([Frame(z, protocol) for z in measured], values).findings
+    assert (finding.what, finding.channels) == (FindingKind.MOVED, (7,))
     measured[:, 9] *= 0.01  # no short, as it is not driven where it is sensed
     assert FindingKind.SHORT not in {
         each.what for each in check_sensor([Frame(z, protocol) for z in measured], values).findings

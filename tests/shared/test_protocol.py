@@ -52,8 +52,8 @@ def test_files_bring_tables_back_electrodes_counted_from_the_text_or_from_one(tm
     assert Protocol.from_name("adjacent:16", 16) == Protocol.adjacent(16)
     assert Protocol.from_name("skip:2:16") == Protocol.skip(16, 2)
     path = tmp_path / "own:2.csv"
-    Protocol(((0, 1, 2, 3),), 8).to_file(path)
-    assert Protocol.from_name(str(path)).n_electrodes == 4
+    Protocol(((0, 1, 2, 3), (1, 2, 3, 4)), 8).to_file(path)
+    assert Protocol.from_name(str(path)).n_electrodes == 5
     assert Protocol.from_name(f"{path}:8").n_electrodes == 8
     assert Protocol.from_name(str(path), 8).n_electrodes == 8
     protocol, path = Protocol.adjacent(5), tmp_path / "one.csv"

@@ -311,6 +311,7 @@ def test_cells_of_gel_and_margin_cover_both(outline, gel, ring) -> None:
     assert size[: plan.gel_quads].sum() == pytest.approx(
         gel, rel=5e-3 if ring and gel > 2.5e-3 else 1e-9
     )
+    assert -outline.nearest(plan.points)[1].min() <= 2.0 * MARGIN + 1e-9  # at acute corners
     if ring:
         assert size[plan.gel_quads :].sum() == pytest.approx(ring, rel=1e-2)
 

@@ -40,12 +40,12 @@ def test_bounds_are_those_of_a_line_an_untouched_angle_and_a_boards_readings(sim
     assert found[0, 1] == pytest.approx(-(s**2) * t.mean() / spread)
     known = cramer_rao_bound(t[None], s)
     assert known[0, 0] == pytest.approx(s**2 / (t**2).sum())
-    found = scene_derivatives(sim, Scene(Bend(10.0))).bound(2e-4)
+    found = scene_derivatives(sim, Scene(Bend(10.0))).bound(2e-4, 4)
     assert len(found.place) == len(found.distance) == len(found.force) == 0
     slope = np.log(sim.measure(Scene(Bend(10.5))).impedance.real) - np.log(
         sim.measure(Scene(Bend(9.5))).impedance.real
     )
-    assert found.angle_deg == pytest.approx(np.sqrt(2.0) * 2e-4 / np.linalg.norm(slope), rel=1e-6)
+    assert found.angle_deg == pytest.approx(np.sqrt(1.25) * 2e-4 / np.linalg.norm(slope), rel=1e-6)
     board = Instrument(meter=FourTerminalMeter(source=1e-4, idle=1e-4))
     found = scene_derivatives(sim, Scene(Bend(10.0)), instrument=board)
     low, middle, high = (

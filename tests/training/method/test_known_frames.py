@@ -69,6 +69,12 @@ def test_frames_that_a_touch_is_compared_with(labels, levels, row, change, refer
     np.testing.assert_allclose(found.touches[row, 0], [0.05, 0.03, 8.0])
 
 
+def test_touches_may_be_a_millimetre_beside_the_sensor():
+    touch = TouchLabel(-0.0005, 0.0605, 8.0)
+    table = known([REST, FrameLabel(0.0, (touch,))], [0.0, 0.04]).touches
+    assert table[1, 0, :2].tolist() == [touch.x, touch.y]
+
+
 # Calibration by known angles
 
 

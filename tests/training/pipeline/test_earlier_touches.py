@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin.training.pipeline.held_touch import MAX_HELD_FRAMES, EarlierTouches
+from eitskin.training.pipeline.held_touch import MAX_HELD_FRAMES, EarlierTouches, Phases
 
 RNG = np.random.default_rng(0)
 FLAT = RNG.uniform(10.0, 90.0, 28).astype(complex)
@@ -58,3 +58,9 @@ def test_what_is_undecided_waits_for_a_while(touches):
         half = frame(0.5 * FORCE + 1.0 * BEND)
         assert touches.bent_reference(half, count == 1, DEVIATION**2) is None
         assert touches.undecided == (count if count <= MAX_HELD_FRAMES else 0)
+
+
+def test_phases_are_told_once_three_steps_have_shown_their_noise():
+    phases = Phases()
+    counts = [len(phases.phase_change(frame(1j * ALONG), FLAT)) for _ in range(5)]
+    assert counts == [0, 0, 0, 28, 28]

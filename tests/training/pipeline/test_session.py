@@ -97,6 +97,7 @@ ORDERS = [
     ((*STEADY, (2, 1.5)), False, "its number follows 4", 1.5),
     ((*STEADY, (6, 1.8), (5, 1.5)), False, "it comes after frame 6; the references stay", 1.8),
     ((*STEADY, (5, 3600.0)), False, "jumped ahead", 3600.0),
+    ((*STEADY, (54, 1.5)), False, "ahead by 50, in 0.3 s", 1.5),
     ((*STEADY, (24, 7.2)), False, "", 7.2),  # lost frames
     ((*STEADY, (5, 4.0)), False, "", 4.0),  # a short pause
     (((0, -1e308), (1, 1e308)), False, "", MAX_ELAPSED_TIME),
