@@ -1,7 +1,8 @@
 """Independent 3D reference solutions of presses, by finite elements of NGSolve.
 
 Run by `python -m eitskin.benchmarks.pressed_reference --out FILE`; needs the extra `reference`.
-docs/results/simulator.md compares with them. FILE has the form of
+The sensor is bent by its plates, then pressed by the indenters' own shapes in unilateral contact;
+nothing is taken from the product but laws, sizes and shapes. FILE has the form of
 `published/world_reference.json` and is rewritten after each case. Units: mm, kPa, mN.
 """
 
@@ -9,8 +10,6 @@ import argparse
 import json
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from importlib import metadata
 from itertools import pairwise
 from pathlib import Path
@@ -20,305 +19,43 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.world import PUBLISHED_FILE, Gauge, ReferenceCase, cases
+from eitskin.benchmarks.reference_solid import (
+    MixedSolid,
+    Numerics,
+    RoughContact,
+    extrude,
+    is_within,
+    triangulate_box,
+)
+from eitskin.benchmarks.world import PUBLISHED_FILE, UNILATERAL, Gauge, ReferenceCase, cases
 from eitskin.extras import require, require_all
 from eitskin.files import atomic_file
-from eitskin.geometry import Free, Plates, Substrate
+from eitskin.geometry import Clamp, Free, Plates, Substrate
 from eitskin.geometry.deformation.kinematics import Displaced
 from eitskin.provenance import Provenance
-from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
-from eitskin.simulator.mechanics.layer_stack import Stack
 from eitskin.simulator.mechanics.load_stepping import SolidError
-from eitskin.simulator.scene.indenters import Indenter
+from eitskin.simulator.scene.scene import Touch
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Naming = Callable[[Array], str]
-"""Name of the material or boundary at a position (3,) [mm]."""
 
 _COMMAND = "python -m eitskin.benchmarks.pressed_reference --out FILE"
 _SAME, _INWARDS = 1e-6, 1e-6  # [mm]; shift of evaluated points into the gel [mm]
 _LAYERS = (2, 1, 1, 1)  # prisms over substrate, encapsulation, gel and encapsulation
-_MIN_LOAD_STEP, _MAX_ITERATIONS = 0.02, 20
-_CELL, _STEPS = 1.0 / 60.0, 24  # finest of the axisymmetric press, over the radius; its steps
-_KNOTS = 0.05  # of the contact profile [mm]
-_TOLERANCE = 1e-5  # of the largest change of a displacement over the largest displacement
-_STRESS = 1e2  # unit of the unknowns of the mean stress [kPa]
-
-
-@dataclass(frozen=True, slots=True)
-class Numerics:
-    """Discretisation: order of the displacements, and edge lengths of the triangles [mm].
-
-    Attributes:
-        order: order of the displacements; the load rises at one less, down to 2.
-        rim, inside, far: edges along the rims of the contacts, within these, and elsewhere.
-    """
-
-    order: int = 4
-    rim: float = 1.0
-    inside: float = 2.5
-    far: float = 12.0
-
-
-def triangulate_box(
-    box: tuple[float, float, float, float],
-    lines: Sequence[tuple[tuple[float, float], tuple[float, float]]],
-    centres: Sequence[tuple[float, float]],
-    radius: float,
-    sizes: Numerics,
-) -> tuple[Array, Indices]:
-    """Points (n, 2) and anticlockwise triangles (m, 3) of a box (x, x, y, y) [mm].
-
-    No triangle crosses the lines, or the circles, which are polygons of their area.
-    """
-    occ = require("netgen.occ", "reference")
-
-    def face(corners: Array) -> Any:
-        pen = occ.WorkPlane().MoveTo(*corners[0])
-        for corner in corners[1:]:
-            pen = pen.LineTo(*corner)
-        return pen.Close().Face()
-
-    x0, x1, y0, y1 = box
-    count = 4 * max(3, round(0.5 * np.pi * radius / sizes.rim))
-    angle = 2.0 * np.pi * np.arange(count) / count
-    growth = np.sqrt(2.0 * np.pi / (count * np.sin(2.0 * np.pi / count)))
-    circle = growth * radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    parts = [face(np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]))]
-    parts += [face(centre + circle) for centre in centres]
-    parts += [occ.Segment(occ.Pnt(*a, 0.0), occ.Pnt(*b, 0.0)) for a, b in lines]
-    plan = occ.Glue(parts)
-    for each in plan.faces:
-        corners = np.array([[v.p.x, v.p.y] for v in each.vertices])
-        inside = any(np.all(is_within(corners, centre, radius)) for centre in centres)
-        each.maxh = sizes.inside if inside else sizes.far
-    mesh = occ.OCCGeometry(plan, dim=2).GenerateMesh(maxh=sizes.far, grading=0.45)
-    points = np.array([point.p[:2] for point in mesh.Points()])
-    triangles = np.array([[v.nr - 1 for v in cell.vertices] for cell in mesh.Elements2D()])
-    a, b = (points[triangles[:, k]] - points[triangles[:, 0]] for k in (1, 2))
-    turned = a[:, 0] * b[:, 1] < a[:, 1] * b[:, 0]
-    triangles[turned] = triangles[turned][:, ::-1]
-    return points, triangles
-
-
-def is_within(points: Array, centre: tuple[float, float], radius: float) -> NDArray[np.bool_]:
-    """Whether points (..., 2) lie in a circle, the corners of its polygon included."""
-    return np.asarray(np.sum((points - centre) ** 2, axis=-1) < 1.05 * radius**2)
-
-
-def extrude(
-    points: Array, triangles: Indices, heights: Sequence[float], material: Naming, boundary: Naming
-) -> Any:
-    """Mesh of prisms, an `ngsolve.Mesh`, between heights of a plan (n, 2) [mm], (m, 3).
-
-    `material` names the centroid of a prism, `boundary` that of a facet of the boundary.
-    """
-    netgen = require("netgen.meshing", "reference")
-    mesh, count = netgen.Mesh(dim=3), len(points)
-    numbers = [
-        mesh.Add(netgen.MeshPoint(netgen.Pnt(*p, z))) for z in heights for p in points.tolist()
-    ]
-    names: list[str] = []
-    faces: list[str] = []
-
-    def add(corners: Sequence[int], centre: Array) -> None:
-        if (name := boundary(centre)) not in faces:
-            faces.append(name)
-            mesh.Add(netgen.FaceDescriptor(surfnr=len(faces), domin=1, bc=len(faces)))
-            mesh.SetBCName(len(faces) - 1, name)
-        mesh.Add(netgen.Element2D(faces.index(name) + 1, [numbers[v] for v in corners]))
-
-    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    _, first, times = np.unique(np.sort(edges), axis=0, return_index=True, return_counts=True)
-    middles, top = points[triangles].mean(axis=1), count * (len(heights) - 1)
-    for k, (low, high) in enumerate(pairwise(heights)):
-        for cell, middle in zip(count * k + triangles, middles, strict=True):
-            if (name := material(np.append(middle, 0.5 * (low + high)))) not in names:
-                names.append(name)
-                mesh.SetMaterial(len(names), name)
-            corners = [numbers[v] for v in (*cell, *(cell + count))]
-            mesh.Add(netgen.Element3D(names.index(name) + 1, corners))
-        for a, b in count * k + edges[first[times == 1]]:
-            middle = np.append(points[[a % count, b % count]].mean(axis=0), 0.5 * (low + high))
-            add([a, b, b + count, a + count], middle)
-    for cell, middle in zip(triangles, middles, strict=True):
-        add(cell[::-1], np.append(middle, heights[0]))
-        add(cell + top, np.append(middle, heights[-1]))
-    return require("ngsolve", "reference").Mesh(mesh)
-
-
-@dataclass(frozen=True, slots=True)
-class HeldContact:
-    """Patch of the boundary whose shape is prescribed, free to translate along one direction.
-
-    Attributes:
-        boundary: name of the boundary.
-        shape: displacement of the patch, a coefficient function of 3 components [mm].
-        force: force on the patch along `direction` [mN].
-        direction: unit vector of the translation.
-    """
-
-    boundary: str
-    shape: Any
-    force: float
-    direction: tuple[float, float, float] = (0.0, 0.0, -1.0)
-
-
-class MixedSolid:
-    """Finite-strain equilibrium of a mesh of several neo-Hookean materials, by NGSolve.
-
-    Stationary points of int mu/2 (J^(-2/3) tr F^T F - 3) + q (J - 1) - q^2 / (2 kappa) dV, with
-    displacements of order p and discontinuous mean stresses q of order p - 2, eliminated by cells.
-
-    Attributes:
-        mesh: an `ngsolve.Mesh` [mm].
-        state: displacement and scaled mean stress at the last equilibrium.
-        steps: translation of the held patches along their directions [mm].
-        unknowns: number of displacements and mean stresses.
-    """
-
-    def __init__(
-        self,
-        mesh: Any,
-        moduli: Mapping[str, float],
-        order: int,
-        fixed: Mapping[str, str],
-        bulk_ratio: float = 1e4,
-    ) -> None:
-        """Set up spaces and energy.
-
-        `moduli` are shear moduli of the materials [kPa]; `fixed` names the axes at rest on each
-        boundary, as "xyz"; `bulk_ratio` is kappa / mu of all materials.
-        """
-        ng = self._ng = require("ngsolve", "reference")
-        ng.SetNumThreads(1)
-        ng.ngsglobals.msg_level = 0
-        self.mesh, self.steps = mesh, np.zeros(0)
-        at_rest = {a: "|".join(name for name, axes in fixed.items() if a in axes) for a in "xyz"}
-        rests = {f"dirichlet{axis}": names for axis, names in at_rest.items()}
-        self._space = ng.VectorH1(mesh, order=order, **rests) * ng.L2(mesh, order=order - 2)
-        u, q = self._space.TrialFunction()
-        mu, F = mesh.MaterialCF(dict(moduli)), ng.Id(3) + ng.Grad(u)
-        J, stress = ng.Det(F), _STRESS * q
-        energy = 0.5 * mu * (J ** (-2.0 / 3.0) * ng.InnerProduct(F, F) - 3.0)
-        energy += stress * (J - 1.0) - stress**2 / (2.0 * bulk_ratio * mu)
-        self._form = ng.BilinearForm(self._space, symmetric=True, condense=True)
-        self._form += ng.Variation(energy.Compile() * ng.dx)
-        self.state, self.unknowns = ng.GridFunction(self._space), int(self._space.ndof)
-
-    def start(self, other: "MixedSolid") -> None:
-        """Take the equilibrium of another order as the initial guess."""
-        for mine, theirs in zip(self.state.components, other.state.components, strict=True):
-            mine.Set(theirs)
-        self.state.vec.FV().NumPy()[~np.array(list(self._space.FreeDofs()))] = 0.0
-        self.steps = other.steps
-
-    def settle(self, held_contacts: Sequence[HeldContact]) -> int:
-        """Equilibrium under prescribed shapes and forces by Newton's method, from `state`.
-
-        Returns the number of iterations; raises SolidError, `state` unchanged, at too many.
-        """
-        state, before, steps = self.state, self.state.vec.CreateVector(), self.steps
-        before.data = state.vec
-        if len(steps) != len(held_contacts):
-            self.steps = np.zeros(len(held_contacts))
-        # NGSolve raises an error of its own where the guess is too far from an equilibrium.
-        singular = require("netgen.libngpy._meshing", "reference").NgException
-        displacements = int(self._space.components[0].ndof)
-        try:
-            for iteration in range(_MAX_ITERATIONS):
-                increment, moved = self._increment(held_contacts)
-                state.vec.data += increment
-                self.steps = self.steps + moved
-                vectors = (each.FV().NumPy()[:displacements] for each in (increment, state.vec))
-                change, size = (float(np.abs(vector).max()) for vector in vectors)
-                if not math.isfinite(change) or change > 1e3:
-                    break
-                if change < _TOLERANCE * max(size, 1e-3):
-                    return iteration + 1
-            raise SolidError("Newton's method found no equilibrium of the reference", 0.0)
-        except (SolidError, singular) as error:
-            state.vec.data, self.steps = before, steps
-            raise SolidError(str(error), 0.0) from error
-
-    def _boundary_displacement(self, boundary: str, value: Any) -> Any:
-        """Vector of a displacement on one boundary, zero elsewhere."""
-        field = self._ng.GridFunction(self._space)
-        field.components[0].Set(value, definedon=self.mesh.Boundaries(boundary))
-        return field.vec
-
-    def _increment(self, held: Sequence[HeldContact]) -> tuple[Any, Array]:
-        """Newton increment of the state and of the translations."""
-        form, product, state = self._form, self._ng.InnerProduct, self.state.vec
-        free = self._ng.BitArray(self._space.FreeDofs(True))
-        jump = state.CreateVector()  # from the displacements of the patches to the prescribed ones
-        jump[:] = 0.0
-        for patch, step in zip(held, self.steps, strict=True):
-            dofs = self._space.components[0].GetDofs(self.mesh.Boundaries(patch.boundary))
-            shift = self._ng.CoefficientFunction(tuple(step * np.array(patch.direction)))
-            target = self._boundary_displacement(patch.boundary, patch.shape + shift)
-            for number in np.flatnonzero(np.array(list(dofs))).tolist():
-                free[number] = False
-                jump[number] = target[number] - state[number]
-        form.AssembleLinearization(state)
-        inverse = form.mat.Inverse(free, inverse="sparsecholesky")
-        residual = state.CreateVector()
-        form.Apply(state, residual)
-        condensed = (residual + form.harmonic_extension_trans * residual).Evaluate()
-        # Increments on the surfaces of the cells, with given values on the boundary.
-        load = (form.mat * jump + condensed).Evaluate()
-        total = (jump - inverse * load).Evaluate()
-        reaction = (form.mat * total + condensed).Evaluate()
-        direction = self._ng.CoefficientFunction
-        lifts = [
-            self._boundary_displacement(patch.boundary, direction(patch.direction))
-            for patch in held
-        ]
-        moved = [(lift - inverse * (form.mat * lift).Evaluate()).Evaluate() for lift in lifts]
-        forces = [(form.mat * each).Evaluate() for each in moved]
-        stiffness = [[product(lift, force) for force in forces] for lift in lifts]
-        missing = np.array([patch.force for patch in held])
-        missing -= [product(lift, reaction) for lift in lifts]
-        steps = np.linalg.solve(np.array(stiffness), missing)
-        for step, each in zip(steps.tolist(), moved, strict=True):
-            total.data += step * each
-        inner = form.harmonic_extension * total - form.inner_solve * residual
-        total.data += inner.Evaluate()
-        return total, steps
-
-
-def contact_profile(stack: Stack, indenter: Indenter, force: float) -> tuple[float, Any, Any]:
-    """Contact of the axisymmetric press at a force [N].
-
-    Returns the undeformed radius where contact ends [mm], and by the radius the displacement
-    outwards, and upwards from the indenter's lowest point, splines [mm].
-    """
-    press = AxisymmetricPress(stack, indenter, finest=_CELL * indenter.rims[1])
-    # Small steps, since a rough indenter sticks to newly touched points only after each.
-    for part in (np.arange(1, _STEPS + 1) / _STEPS) ** 1.5:
-        pressed = press.to_force(part * force)
-    pressure = press.contact.nominal_pressure(press.unknowns).ravel()
-    r = press.contact.face.points[..., 0].ravel()
-    order = np.argsort(r)
-    last = np.flatnonzero(pressure[order] > 0.0)[-1]
-    radius = 1e3 * float(r[order][last : last + 2].mean())
-    knots = np.arange(0.0, 1.1 * radius, _KNOTS)
-    spline, top = require("ngsolve", "reference").BSpline, pressed.displacement[:, -1]
-    outwards, upwards = (
-        spline(2, [0.0, *knots], (1e3 * np.interp(knots, 1e3 * pressed.r, values)).tolist())
-        for values in (top + np.array([0.0, pressed.depth])).T
-    )
-    return radius, outwards, upwards
+_STIFFNESS = 3000.0  # of a contact's springs, over the modulus of the cover over the radius
+_ZONE = 1.25  # radius within which points may touch, over that of the indenter
+_BEND_STEP_DEG = 10.0
 
 
 class ReferenceStack:
-    """Meshed sensor of one case; `solve` gives its equilibrium.
+    """Meshed part of a sensor that symmetry leaves of one case; `solve` gives its equilibrium.
 
     Attributes:
-        solid: solid of the last order.
-        depths: depths of the indenters' lowest points under the undeformed top [mm].
+        bent: solid of the last order, bent and not pressed; None on a flat sensor.
+        solid: solid of the last order, bent and pressed.
+        depths: depths of the indenters' lowest points under the flat or bent top [mm].
     """
+
+    bent: MixedSolid | None = None
 
     def __init__(self, case: ReferenceCase, numerics: Numerics | None = None) -> None:
         """Mesh the case."""
@@ -326,18 +63,59 @@ class ReferenceStack:
         design, mechanics, support = case.design, case.mechanics, case.design.support
         self._gel = 1e3 * np.array([design.outline.length, design.outline.width, design.thickness])
         self._around = 0.5e3 * (design.encapsulated_thickness - design.thickness)
-        self._touches = tuple((1e3 * touch.x, 1e3 * touch.y) for touch in case.scene.touches)
-        first, stack = case.scene.touches[0], mechanics.stack(design)
-        self._force = 1e3 * (first.force or 0.0)
-        self._profile = contact_profile(stack, first.indenter, 1e-3 * self._force)
-        self.depths: Array = np.zeros(len(self._touches))
-        margin, (length, width, height) = 1e3 * mechanics.margin, self._gel.tolist()
-        box = (-margin, length + margin, -margin, width + margin)
-        gap = support.gap(design.outline) if isinstance(support, Plates) else ()
-        breaks = [0.0, length, *(1e3 * x for x in gap)]
-        lines = [((x, box[2]), (x, box[3])) for x in breaks]
-        lines += [((box[0], y), (box[1], y)) for y in (0.0, width)]
-        plan = triangulate_box(box, lines, self._touches, self._profile[0], self._numerics)
+        places = 1e3 * np.array([[touch.x, touch.y] for touch in case.scene.touches])
+        self._is_halved = np.array([_is_mirrored(places, axis, self._gel) for axis in (0, 1)])
+        self._places = np.where(self._is_halved, np.minimum(places, self._gel[:2] - places), places)
+        self._touches: list[tuple[Array, Touch]] = []
+        for place, touch in zip(self._places, case.scene.touches, strict=True):
+            if not any(np.allclose(place, kept) for kept, _ in self._touches):
+                self._touches.append((place, touch))
+        self._radius = 1e3 * max(touch.indenter.rims[1] for touch in case.scene.touches)
+        self._mesh = self._extrude(1e3 * mechanics.margin, support)
+        self.depths = np.zeros(len(places))
+
+    def solve(self) -> None:
+        """Bend, then press by steps of the load, then at full order; may raise SolidError."""
+        steps, bent = self._numerics.steps, self._bend()
+        contacts = self._contacts(bent)
+        pressed = self._go_on(bent, self._numerics.path, contacts)
+        for part in (np.arange(1, steps + 1) / steps) ** 1.5:
+            for contact, (place, touch) in zip(contacts, self._touches, strict=True):
+                share = 0.5 ** np.sum(self._is_halved & np.isclose(place, 0.5 * self._gel[:2]))
+                contact.force = float(part * share) * 1e3 * (touch.force or 0.0)
+            pressed.press()
+        self.solid = self._raise(pressed, contacts)
+        kept = np.array([place for place, _ in self._touches])
+        own = [np.linalg.norm(kept - place, axis=1).argmin() for place in self._places]
+        self.depths = np.array([contacts[k].step.Get() for k in own])
+        if self._case.scene.bend.angle_deg:
+            self.bent = self._raise(bent, [])
+
+    def gradient(self, solid: MixedSolid, points: Array) -> Array:
+        """Displacement gradient (..., 3, 3) of a solid at points (..., 3) of the gel [m]."""
+        x, signs = 1e3 * points.reshape(-1, 3), np.ones((points.size // 3, 3))
+        beyond = self._is_halved & (x[:, :2] > 0.5 * self._gel[:2])
+        x[:, :2] = np.where(beyond, self._gel[:2] - x[:, :2], x[:, :2])
+        signs[:, :2] -= 2.0 * beyond
+        end = np.append(np.where(self._is_halved, 0.5, 1.0), 1.0) * self._gel
+        x = np.clip(x, _INWARDS, end - _INWARDS)
+        slope = require("ngsolve", "reference").Grad(solid.displacement)(solid.mesh(*x.T))
+        mirrored = signs[:, :, None] * slope.reshape(-1, 3, 3) * signs[:, None, :]
+        return np.asarray(mirrored.reshape(*points.shape, 3))
+
+    def _extrude(self, margin: float, support: object) -> Any:
+        """Mesh of prisms of the part that is solved."""
+        length, width, height = self._gel.tolist()
+        ends = np.where(self._is_halved, 0.5 * self._gel[:2], self._gel[:2] + margin)
+        self._ends = np.where(self._is_halved, ends, np.inf)
+        box = (-margin, float(ends[0]), -margin, float(ends[1]))
+        breaks = [0.0, length]
+        if isinstance(support, Plates):
+            breaks += [1e3 * x for x in support.gap(self._case.design.outline)]
+        lines = [((x, box[2]), (x, box[3])) for x in breaks if x < box[1]]
+        lines += [((box[0], y), (box[1], y)) for y in (0.0, width) if y < box[3]]
+        centres = [place for place, _ in self._touches]
+        plan = triangulate_box(box, lines, centres, self._radius, self._numerics)
         levels = [-self._around, 0.0, height, height + self._around]
         if isinstance(support, Substrate):
             levels = [levels[0] - 1e3 * support.thickness, *levels]
@@ -345,49 +123,92 @@ class ReferenceStack:
         for (low, high), count in zip(pairwise(levels), _LAYERS[-len(levels) + 1 :], strict=True):
             heights += np.linspace(low, high, count + 1)[1:].tolist()
         self._top, self._bottom = levels[-1], levels[0]
-        self._mesh = extrude(*plan, heights, self._material, self._boundary)
-        self.solid = self._solid(max(2, self._numerics.order - 1))
+        return extrude(*plan, heights, self._material, self._boundary)
 
-    def solve(self) -> None:
-        """Equilibrium by steps of the load, then of full order; raises SolidError without one."""
-        shapes = [self._shape(touch) for touch in self._touches]
+    def _bend(self) -> MixedSolid:
+        """Sensor that its plates have turned; flat and at rest without an angle."""
+        ng = require("ngsolve", "reference")
+        solid, angle = self._solid(self._numerics.path), self._case.scene.bend.angle_deg
+        middle, clamp = (0.5 * self._gel).tolist(), Clamp()
+        axis = ng.CF((middle[0], 0.0, middle[2] - 1e3 * clamp.offset))
+        # Rigid on the plates; between them the turn rises with x.
+        along = (ng.x - axis[0]) / (0.5e3 * clamp.span)
+        along = ng.IfPos(along - 1.0, 1.0, ng.IfPos(along + 1.0, along, -1.0))
+        count = math.ceil(abs(angle) / _BEND_STEP_DEG)
+        X = ng.CF((ng.x, ng.y, ng.z))
 
-        def held_contacts(t: float) -> list[HeldContact]:
-            return [
-                HeldContact(f"contact {k}", t * u, t * self._force) for k, u in enumerate(shapes)
-            ]
+        def turned(start: Any, degrees: float) -> Any:
+            turn = math.radians(0.5 * degrees) * along
+            cos, sin = ng.cos(turn), ng.sin(turn)
+            R = ng.CF((cos, 0, sin, 0, 1, 0, -sin, 0, cos), dims=(3, 3))
+            return R * (start - axis) + axis - X
 
-        reached, step = 0.0, 0.5
-        while reached < 1.0:
-            t = min(1.0, reached + step)
-            try:
-                iterations = self.solid.settle(held_contacts(t))
-            except SolidError:
-                if (step := 0.5 * (t - reached)) < _MIN_LOAD_STEP:
-                    raise
-                continue
-            reached, step = t, (1.5 if iterations < 7 else 1.0) * step
-        lower, self.solid = self.solid, self._solid(self._numerics.order)
-        self.solid.start(lower)
-        self.solid.settle(held_contacts(1.0))
-        self.depths = self.solid.steps
+        for k in range(count):
+            before, stress = (self._copy(each) for each in solid.state.components)
+            plate = turned(X, angle * (k + 1) / count)
+            solid.start(turned(X + before, angle / count), stress, {"plate": plate})
+            solid.press()
+        return solid
 
-    def gradient(self, points: Array) -> Array:
-        """Displacement gradient (..., 3, 3) at points (..., 3) of the gel [m]."""
-        x = np.clip(1e3 * points.reshape(-1, 3), _INWARDS, self._gel - _INWARDS)
-        grad = require("ngsolve", "reference").Grad(self.solid.state.components[0])
-        slope: Array = grad(self.solid.mesh(*x.T))
-        return slope.reshape(*points.shape, 3)
+    def _copy(self, field: Any) -> Any:
+        """Copy of a grid function."""
+        copied = require("ngsolve", "reference").GridFunction(field.space)
+        copied.vec.data = field.vec
+        return copied
 
-    def _solid(self, order: int) -> MixedSolid:
+    def _contacts(self, bent: MixedSolid) -> list[RoughContact]:
+        """Indenters on the bent top, each along its normal."""
+        ng, contacts = require("ngsolve", "reference"), []
+        modulus = 1e-3 * self._case.mechanics.encapsulation.shear_modulus
+        for number, (place, touch) in enumerate(self._touches):
+            at = np.append(place, self._top)
+            inside = bent.mesh(*(at - _INWARDS * np.array([*self._is_halved, 1.0])))
+            F = np.eye(3) + np.array(ng.Grad(bent.displacement)(inside)).reshape(3, 3)
+            along, normal = F[:, 0], np.cross(F[:, 0], F[:, 1])
+            along, normal = along / np.linalg.norm(along), normal / np.linalg.norm(normal)
+            contacts.append(
+                RoughContact(
+                    self._mesh,
+                    f"contact {number}",
+                    touch.indenter,
+                    _STIFFNESS * modulus / self._radius,
+                    at + np.array(bent.displacement(inside)),
+                    np.array([along, np.cross(normal, along), normal]),
+                    bent.displacement,
+                )
+            )
+        return contacts
+
+    def _raise(self, solid: MixedSolid, contacts: list[RoughContact]) -> MixedSolid:
+        """Equilibrium at full order, from that of the path, order by order."""
+        for order in range(self._numerics.path + 1, self._numerics.order + 1):
+            solid = self._go_on(solid, order, contacts)
+            solid.press()
+        return solid
+
+    def _go_on(self, before: MixedSolid, order: int, contacts: list[RoughContact]) -> MixedSolid:
+        """Solid of an order with contacts that starts from another."""
+        solid, u = self._solid(order, contacts), before.displacement
+        solid.start(u, before.state.components[1], {"plate": u} if self._is_bent else {})
+        return solid
+
+    @property
+    def _is_bent(self) -> bool:
+        return bool(self._case.scene.bend.angle_deg)
+
+    def _solid(self, order: int, contacts: list[RoughContact] | None = None) -> MixedSolid:
         """Solid of displacements of an order on the mesh, at rest."""
         mechanics, support = self._case.mechanics, self._case.design.support
         laws = {"gel": mechanics.gel, "encapsulation": mechanics.encapsulation}
         moduli = {name: 1e-3 * law.shear_modulus for name, law in laws.items()}
         if isinstance(support, Substrate):
             moduli["substrate"] = 1e-3 * support.shear_modulus
-        fixed = {"base": "xyz"} | ({"side": "xyz"} if isinstance(support, Free) else {})
-        return MixedSolid(self._mesh, moduli, order, fixed, mechanics.bulk_ratio)
+        fixed = {"base": "xyz", "plate": "xyz", "middle 0": "x", "middle 1": "y"}
+        if isinstance(support, Free):
+            fixed["side"] = "xyz"
+        fixed = {name: axes for name, axes in fixed.items() if name in self._mesh.GetBoundaries()}
+        ratio = mechanics.bulk_ratio
+        return MixedSolid(self._mesh, moduli, order, fixed, contacts or [], ratio)
 
     def _material(self, centre: Array) -> str:
         if np.all((centre > 0.0) & (centre < self._gel)):
@@ -395,9 +216,11 @@ class ReferenceStack:
         return "substrate" if centre[2] < -self._around else "encapsulation"
 
     def _boundary(self, centre: Array) -> str:
+        for axis in np.flatnonzero(centre[:2] > self._ends - _SAME):
+            return f"middle {axis}"
         if centre[2] > self._top - _SAME:
-            for number, touch in enumerate(self._touches):
-                if is_within(centre[:2], touch, self._profile[0]):
+            for number, (place, _) in enumerate(self._touches):
+                if is_within(centre[:2], place, _ZONE * self._radius):
                     return f"contact {number}"
             return "top"
         if centre[2] > self._bottom + _SAME:
@@ -405,32 +228,40 @@ class ReferenceStack:
         support, x = self._case.design.support, 1e-3 * float(centre[0])
         if isinstance(support, Plates):
             low, high = support.gap(self._case.design.outline)
-            return "under" if low < x < high else "base"
+            return "under" if low < x < high else "plate"
         return "under" if isinstance(support, Free) else "base"
 
-    def _shape(self, touch: tuple[float, float]) -> Any:
-        """Displacement of a contact when the indenter's lowest point is on the top at rest."""
-        ng, (_, outwards, upwards) = require("ngsolve", "reference"), self._profile
-        along, across = ng.x - touch[0], ng.y - touch[1]
-        r = ng.sqrt(along**2 + across**2 + 1e-12)
-        return ng.CF((outwards(r) * along / r, outwards(r) * across / r, upwards(r)))
+
+def _is_mirrored(places: Array, axis: int, size: Array) -> bool:
+    """Whether places (n, 2) are mirrored about the middle along an axis."""
+    mirrored = places.copy()
+    mirrored[:, axis] = size[axis] - mirrored[:, axis]
+    first, second = ({tuple(p) for p in each.round(6).tolist()} for each in (places, mirrored))
+    return first == second
 
 
-def solution(case: ReferenceCase) -> dict[str, Any]:
-    """Solution of a case as it is written, with changes by the finest forward model."""
+def solution(case: ReferenceCase, numerics: Numerics | None = None) -> dict[str, Any]:
+    """Solution of a case as it is written, with changes by the finest forward model.
+
+    Raises SolidError where the sensor does not carry the press.
+    """
     start, gauge = time.perf_counter(), Gauge(case.design, "fine")
-    stack = ReferenceStack(case)
-    try:
-        stack.solve()
-    except SolidError as error:
-        return {"changes": None, "refused": str(error)}
+    stack = ReferenceStack(case, numerics)
+    stack.solve()
     seconds = time.perf_counter() - start
-    return {
+
+    def changes(solid: MixedSolid) -> list[float]:
+        field = Displaced(np.zeros_like, lambda points: stack.gradient(solid, points))
+        return list(gauge.changes(field))
+
+    found = {
+        "contact": UNILATERAL,
         "depth": stack.depths.tolist(),
         "unknowns": stack.solid.unknowns,
         "seconds": round(seconds, 1),
-        "changes": gauge.changes(Displaced(np.zeros_like, stack.gradient)).tolist(),
+        "changes": changes(stack.solid),
     }
+    return found | ({"bend_changes": changes(stack.bent)} if stack.bent else {})
 
 
 def main() -> None:
@@ -438,21 +269,27 @@ def main() -> None:
     require_all(reference="ngsolve netgen")
     options = argparse.ArgumentParser(description="Reference solutions of presses in 3D.")
     options.add_argument("--out", type=Path, required=True, help="JSON file; gone on with")
-    options.add_argument("--only", nargs="*", help="names of cases")
+    options.add_argument("--only", nargs="*", help="names of cases, in this order")
     chosen = options.parse_args()
-    solutions = json.loads(chosen.out.read_text())["solutions"] if chosen.out.is_file() else []
-    solved_names = {one["name"] for one in solutions}
+    written = json.loads((chosen.out if chosen.out.is_file() else PUBLISHED_FILE).read_text())
+    earlier = written.get("earlier") or {key: written[key] for key in ("command", "provenance")}
     provenance = msgspec.to_builtins(Provenance.now(seed=0))
     provenance["packages"]["ngsolve"] = metadata.version("ngsolve")
-    described = {one["name"]: one for one in json.loads(PUBLISHED_FILE.read_text())["solutions"]}
-    for case in cases():
-        flat = case.kind in ("press", "supported press")
-        if flat and case.name not in solved_names and case.name in (chosen.only or described):
-            print(case.name, flush=True)
-            solutions.append(described[case.name] | solution(case))
-            data = {"command": _COMMAND, "provenance": provenance, "solutions": solutions}
-            with atomic_file(chosen.out) as temporary:
-                temporary.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+    data = {"command": _COMMAND, "provenance": provenance, "earlier": earlier}
+    solutions = {one["name"]: one for one in written["solutions"]}
+    known = {case.name: case for case in cases() if case.scene.touches}
+    for name in chosen.only or known:
+        if solutions[name].get("contact") == UNILATERAL:
+            continue
+        try:
+            solutions[name] |= solution(known[name])
+        except SolidError as error:
+            print(f"{name}: {error}", flush=True)
+            continue
+        print(name, solutions[name]["depth"], solutions[name]["seconds"], flush=True)
+        with atomic_file(chosen.out) as temporary:
+            text = json.dumps(data | {"solutions": list(solutions.values())}, indent=1)
+            temporary.write_text(text + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

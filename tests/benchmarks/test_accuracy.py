@@ -86,21 +86,24 @@ def test_judge_measures_the_errors_of_a_frame_and_the_drop_is_smooth(truth):
 CASES = {case.name: case for case in cases()}
 
 
-def error(case, value, model=TABLE_MODEL, kind="press"):
-    return ModelError(case, kind, model, value, 0.1, 0.02)
+def error(case, value, model=TABLE_MODEL, kind="press", borrows=True):
+    return ModelError(case, kind, model, value, 0.1, 0.02, borrows)
 
 
 def test_errors_are_the_median_and_worst_of_tables_and_of_what_presses_change():
     errors = (
         *(error("a", 0.01), error("b", 0.05)),
-        *(error("a", 0.2, SOLVED_MODEL), error("c", 0.02, SOLVED_MODEL)),
-        error("d", 0.003, kind="bend"),
+        *(error("a", 0.2, SOLVED_MODEL), error("c", 0.02, SOLVED_MODEL, borrows=False)),
+        error("d", 0.003, kind="bend", borrows=False),
     )
     named = dict(figures(errors))
     assert named["press / default, median [%]"] == 2.0
     assert named["press / default, cases"] == 3
+    assert named["press / default, borrowing nothing, cases"] == 1
+    assert named["press / default, borrowing nothing, median [%]"] == 2.0
     assert named["press / solved, worst [%]"] == 20.0
     pressed, bent = sentences(errors)
+    assert "3 cases, 1 with references that borrow nothing" in pressed
     assert "median 2.00 % (target 2 %), worst 5.00 % at b (target 4 %)" in pressed
     assert "worst 0.30 % at d" in bent
     flat, bent = CASES["plates_45_30"], CASES["plates_45_30_30deg"]
