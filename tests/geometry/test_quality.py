@@ -7,6 +7,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import Contacts, Mesh, SensorDesign, structured_mesh
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh import check_quality, quality
+from eitskin.geometry.meshing.mesh_body import MeshOutline
 
 HALF = np.sqrt(0.75)
 SQUARE, TRIANGLE = [[0.0, 0], [1, 0], [1, 1], [0, 1]], [[0, 0], [1, 0], [0.5, HALF]]
@@ -73,6 +74,14 @@ def test_the_gate_names_the_worst_cell(ideal):
     points[6, 1] = np.nan
     with pytest.raises(ConfigurationError, match=r"point 6 .*finite"):
         check_quality(mesh_of(points, good.cells))
+
+
+def test_a_mesh_seen_from_above_contains_what_its_triangles_cover():
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    points = np.random.default_rng(0).uniform(-0.2, 1.2, (600, 2))
+    inside = ((points > 0.0) & (points < 1.0)).all(axis=1)
+    found = MeshOutline(corners, np.array([[0, 1, 2], [0, 3, 2]])).contains(points)
+    assert np.array_equal(found, inside)
 
 
 def test_slivers_are_degenerate_and_thin_boxes_are_not():

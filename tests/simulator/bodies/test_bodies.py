@@ -13,7 +13,7 @@ from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import ForwardModel, Mechanics, Scene, Simulator
 from eitskin.simulator.bends.bend_3d import ClampedStack
 from eitskin.simulator.bodies import pressed_body
-from eitskin.simulator.bodies.body_deformation import ClampedBody
+from eitskin.simulator.bodies.body_deformation import ClampedBody, _sections
 from eitskin.simulator.bodies.pressed_body import BodyPress, heights
 from eitskin.simulator.bodies.tetrahedral_solid import TetrahedralField
 from eitskin.simulator.mechanics.materials import NeoHookean
@@ -100,6 +100,12 @@ def test_fields_meet_quadratic_displacements_and_heights_the_highest_face():
 
 
 # Bends
+
+
+def test_edges_of_plates_cross_triangles_from_side_to_side():
+    corners = np.array([[[0.0, 5.0, 0.0], [2.0, 5.0, 0.0], [0.0, 5.0, 2.0]]])
+    found = _sections(corners, [1.0], 0.5)
+    assert found == pytest.approx(np.linspace([1.0, 5.0, 0.0], [1.0, 5.0, 1.0], 4))
 
 
 def test_a_box_bends_as_the_clamped_stack_does(design, flat) -> None:

@@ -128,6 +128,8 @@ def test_tables_hold_what_was_solved_about_each_press(kind, solved_bells) -> Non
     }[kind]
     made = tuple(solve(lambda *done: reports.append(done)) for solve in solvers)
     assert reports[-1][0] == reports[-1][1]
+    if kind == "side":
+        assert made[0].sizes["along"] == pytest.approx(-made[0].sizes["along"][::-1])
     aside = float(made[0].nodes("distance_to_side")[2])
     x, y = place(aside)
     summed = (made, None, ()) if kind == "strip" else ((), made[0], ((made[0], 1.0),))

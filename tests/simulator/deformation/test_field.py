@@ -141,21 +141,25 @@ def test_sums_are_the_fields_and_their_images_one_by_one() -> None:
     rng, at = np.random.default_rng(1), points()
     along, across = Polynomials(-0.2, 0.2, 5), Polynomials(0.0, WIDTH, 4)
     coefficients, origins = rng.normal(size=(3, 5, 4, 3, 4)), np.array([0.04, 0.09, 0.04])
-    images = np.array([(0, 0), (1, 1), (0, 1)])
+    images, turns = np.array([(0, 0), (1, 1), (0, 1)]), np.tile(np.eye(4), (3, 1, 1))
+    turns[:, :3, :3] = rng.normal(size=(3, 3, 3))
     scenes, expected = np.array([0, 1, 1]), np.zeros((2, len(at), 4))
-    for field, x, image, scene in zip(coefficients, origins, images, scenes, strict=True):
+    for field, x, image, turn, scene in zip(
+        coefficients, origins, images, turns, scenes, strict=True
+    ):
         there, signs = at.copy(), np.ones(4)
         for axis, size in enumerate((LENGTH, WIDTH)):
             if image[axis]:
                 there[:, axis], signs[axis] = size - at[:, axis], -1.0
         there[:, 0] -= x
-        expected[scene] += signs * values(Field((along, across), GEL, field), there)
+        expected[scene] += signs * values(Field((along, across), GEL, field), there) @ turn.T
     errors = []
     for cells in (12, 24):
         nodes = np.linspace(0.0, LENGTH, 2 * cells + 1), np.linspace(0.0, WIDTH, cells + 1)
         sums, fields = NodeSums(nodes, 2, 4, 4), coefficients.transpose(0, 1, 3, 4, 2)
         own = basis_values(along, nodes[0], origins)
-        sums.add(fields, np.eye(3), own, across.dense(nodes[1]), scenes, images)
+        beside = across.dense(nodes[1])
+        sums.add(fields, np.eye(3), own, beside, scenes, images, turns[:, :3, :3])
         found = sums.fields(GEL, np.ones(4))
         errors.append(
             max(
