@@ -61,6 +61,8 @@ from eitskin.threads import one_thread
 Array = NDArray[np.float64]
 
 SCENES, QUICK_SCENES = 384, 32  # of each process
+FEW_ELECTRODES = 8  # up to which all scenes are solved and `fine` is the truth
+FEWER_SCENES = 4  # times fewer with more electrodes
 FRAMES, QUICK_FRAMES = 400, 60  # of each scene through the pipeline
 SETTLING_FRAMES = 20  # frames before those whose time counts: references are taken then
 _COLUMNS: Columns = {
@@ -167,20 +169,21 @@ def scenes(workload: Workload, count: int, seed: int) -> list[Scene]:
 
 def work(workload: Workload, count: int, seed: int) -> tuple[float, float]:
     """Time and processor time [s] of solving `count` scenes, after meshing and a first scene."""
-    with one_thread():
-        some = scenes(workload, count, seed)
-        _simulate_scenes(workload, some[:1])
-        start = time.perf_counter(), time.process_time()
-        _simulate_scenes(workload, some)
-        return time.perf_counter() - start[0], time.process_time() - start[1]
+    some = scenes(workload, count, seed)
+    _simulate_scenes(workload, some[:1])
+    start = time.perf_counter(), time.process_time()
+    _simulate_scenes(workload, some)
+    return time.perf_counter() - start[0], time.process_time() - start[1]
 
 
 def rate(workload: Workload, count: int, pool: ProcessPoolExecutor) -> Rate:
     """Speed and error of a workload."""
+    if workload.electrodes > FEW_ELECTRODES:
+        count //= FEWER_SCENES
     _, alone = work(workload, count // 2, 0)
     together = [pool.submit(work, workload, count, seed) for seed in range(1, PROCESSES + 1)]
     seconds = [future.result()[0] for future in together]
-    errors = signal_errors(workload)
+    errors = signal_errors(workload, pool)
     return Rate(
         name=workload.name,
         scenes_per_second=sum(count / second for second in seconds),
@@ -190,40 +193,41 @@ def rate(workload: Workload, count: int, pool: ProcessPoolExecutor) -> Rate:
     )
 
 
-def signal_errors(workload: Workload) -> Array:
+def signal_errors(workload: Workload, pool: ProcessPoolExecutor) -> Array:
     """Relative errors of the signals of some scenes, (`JUDGED_SCENES`,)."""
     judged = dataclasses.replace(workload, name="", specimens=False)
-    few = judged.electrodes == len(SensorDesign.reference().electrodes) and not judged.disc
+    few = judged.electrodes <= FEW_ELECTRODES and not judged.disc
     finest: Resolution = "fine" if few else "standard"
-    truth = _true_signals(dataclasses.replace(judged, resolution=finest, tolerance=_TRUE))
-    missed = _signals(judged) - truth
+    truth = _true_signals(dataclasses.replace(judged, resolution=finest, tolerance=_TRUE), pool)
+    missed = _signals(judged, pool) - truth
     errors: Array = np.linalg.norm(missed, axis=1) / np.linalg.norm(truth, axis=1)
     return errors
 
 
 @cache
-def _true_signals(workload: Workload) -> Array:
-    return _signals(workload)
+def _true_signals(workload: Workload, pool: ProcessPoolExecutor) -> Array:
+    return _signals(workload, pool)
 
 
-def _signals(workload: Workload) -> Array:
+def _signals(workload: Workload, pool: ProcessPoolExecutor) -> Array:
     """Signals of the tested scenes' touches, or of bends without, [ohm]."""
     some = scenes(workload, JUDGED_SCENES, 99)
     others = [
         Scene(scene.bend if scene.touches else Bend(0.0), support=scene.support) for scene in some
     ]
-    measured = _simulate_scenes(workload, [*some, *others])
-    changes: Array = measured[:JUDGED_SCENES] - measured[JUDGED_SCENES:]
+    measured, unpressed = pool.map(_simulate_scenes, repeat(workload), (some, others))
+    changes: Array = measured - unpressed
     return changes
 
 
 def _simulate_scenes(workload: Workload, some: Sequence[Scene]) -> Array:
     """Measurements [ohm] of scenes, (scenes, measurements)."""
     pairs = zip(workload.simulators(len(some)), some, strict=True)
-    frames = [
-        sim.measure_all([scene for _, scene in own], workload.tolerance)
-        for sim, own in groupby(pairs, key=itemgetter(0))
-    ]
+    with one_thread():
+        frames = [
+            sim.measure_all([scene for _, scene in own], workload.tolerance)
+            for sim, own in groupby(pairs, key=itemgetter(0))
+        ]
     return np.concatenate(frames).real
 
 
