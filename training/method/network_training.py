@@ -17,11 +17,13 @@ from torch import Tensor, nn  # noqa: TID253  see above
 from eitskin.geometry import ConfigurationError
 from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.settings import NetworkSettings
+from eitskin.training.method.soap import Soap
 
 Network = TypeVar("Network", bound=nn.Module)
 Batch = Callable[[Tensor, torch.Generator], tuple[Tensor, Tensor]]
 Loss = Callable[[Tensor, Tensor], Tensor]
 
+WARM_UP, SOAP_WARM_UP = 0.3, 0.1  # shares of the steps of a one-cycle schedule, of Adam and SOAP
 EVALUATED_AT_ONCE = 256  # samples; bounds the memory that a large dataset takes
 
 
@@ -82,7 +84,7 @@ def train_network(
     progress: Callable[[int, int], None],
     validation: Samples | None = None,
 ) -> LearningCurve:
-    """Train with Adam and return the mean losses of every epoch.
+    """Train with Adam or SOAP and return the mean losses of every epoch.
 
     Args:
         network: trained in place.
@@ -97,12 +99,22 @@ def train_network(
     Raises ConfigurationError where the loss is no longer finite.
     """
     generator = torch.Generator().manual_seed(seed)
-    optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
+    optimiser: torch.optim.Optimizer = (
+        Soap(network.parameters(), settings.learning_rate)
+        if settings.soap
+        else torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
+    )
     batch_size, epochs = settings.batch, settings.count_epochs(count)
     steps = epochs * -(-count // batch_size)
     # Only where asked for: creating the schedule already lowers the learning rate.
     anneal = (
-        torch.optim.lr_scheduler.OneCycleLR(optimiser, settings.learning_rate, steps)
+        torch.optim.lr_scheduler.OneCycleLR(
+            optimiser,
+            settings.learning_rate,
+            steps,
+            pct_start=SOAP_WARM_UP if settings.soap else WARM_UP,
+            cycle_momentum=not settings.soap,
+        )
         if settings.one_cycle
         else None
     )

@@ -67,7 +67,7 @@ def silent(stage: str, done: int, total: int) -> None:
 @old_names(epochs_of="count_epochs", shortened="shorten")
 @dataclass(frozen=True, slots=True)
 class NetworkSettings:
-    """Hyper-parameters of one network, trained with Adam.
+    """Hyper-parameters of one network, trained with Adam or with SOAP.
 
     Attributes:
         learning_rate: constant, or the highest of the one-cycle schedule.
@@ -77,6 +77,7 @@ class NetworkSettings:
         noise: rms noise added to dV in every step, relative to the noise of the frames.
         fewest_steps: fewest steps of the whole training; where frames are few, there are more
             epochs.
+        soap: whether SOAP trains it: dearer steps, of which a smooth network needs fewer.
 
     Example:
         >>> from eitskin.training import NetworkSettings
@@ -90,6 +91,7 @@ class NetworkSettings:
     one_cycle: bool = True
     noise: float = 0.0
     fewest_steps: int = 0
+    soap: bool = False
 
     def __post_init__(self) -> None:
         if not (self.learning_rate > 0 and self.epochs > 0 and self.batch > 0 and self.noise >= 0):
@@ -125,7 +127,9 @@ class JointSettings:
             dries and warms by a percent or two, the electronics drift by 0.2 %.
     """
 
-    response: NetworkSettings = NetworkSettings(0.01, epochs=120, batch=512, fewest_steps=2000)
+    response: NetworkSettings = NetworkSettings(
+        0.01, epochs=60, batch=512, fewest_steps=2000, soap=True
+    )
     proposals: NetworkSettings = NetworkSettings(2e-3, epochs=40, batch=512)
     angles: NetworkSettings = NetworkSettings(3e-3, epochs=80, batch=256)
     drift: float = 0.02
