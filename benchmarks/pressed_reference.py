@@ -78,7 +78,7 @@ class ReferenceStack:
         """Bend, then press by steps of the load, then at full order; may raise SolidError."""
         steps, bent = self._numerics.steps, self._bend()
         contacts = self._contacts(bent)
-        pressed = self._go_on(bent, self._numerics.path, contacts)
+        pressed = self._load_further(bent, self._numerics.path, contacts)
         for part in (np.arange(1, steps + 1) / steps) ** 1.5:
             for contact, (place, touch) in zip(contacts, self._touches, strict=True):
                 share = 0.5 ** np.sum(self._is_halved & np.isclose(place, 0.5 * self._gel[:2]))
@@ -137,7 +137,7 @@ class ReferenceStack:
         count = math.ceil(abs(angle) / _BEND_STEP_DEG)
         X = ng.CF((ng.x, ng.y, ng.z))
 
-        def turned(start: Any, degrees: float) -> Any:
+        def rotation(start: Any, degrees: float) -> Any:
             turn = math.radians(0.5 * degrees) * along
             cos, sin = ng.cos(turn), ng.sin(turn)
             R = ng.CF((cos, 0, sin, 0, 1, 0, -sin, 0, cos), dims=(3, 3))
@@ -145,8 +145,8 @@ class ReferenceStack:
 
         for k in range(count):
             before, stress = (self._copy(each) for each in solid.state.components)
-            plate = turned(X, angle * (k + 1) / count)
-            solid.start(turned(X + before, angle / count), stress, {"plate": plate})
+            plate = rotation(X, angle * (k + 1) / count)
+            solid.start(rotation(X + before, angle / count), stress, {"plate": plate})
             solid.press()
         return solid
 
@@ -182,11 +182,13 @@ class ReferenceStack:
     def _raise(self, solid: MixedSolid, contacts: list[RoughContact]) -> MixedSolid:
         """Equilibrium at full order, from that of the path, order by order."""
         for order in range(self._numerics.path + 1, self._numerics.order + 1):
-            solid = self._go_on(solid, order, contacts)
+            solid = self._load_further(solid, order, contacts)
             solid.press()
         return solid
 
-    def _go_on(self, before: MixedSolid, order: int, contacts: list[RoughContact]) -> MixedSolid:
+    def _load_further(
+        self, before: MixedSolid, order: int, contacts: list[RoughContact]
+    ) -> MixedSolid:
         """Solid of an order with contacts that starts from another."""
         solid, u = self._solid(order, contacts), before.displacement
         solid.start(u, before.state.components[1], {"plate": u} if self._is_bent else {})
