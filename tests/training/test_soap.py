@@ -5,7 +5,7 @@ import torch
 
 from eitskin.training.method.network_training import dense_layers, seeded_network, train_network
 from eitskin.training.method.settings import NetworkSettings
-from eitskin.training.method.soap import MAX_SIZE, Soap
+from eitskin.training.method.soap import MAX_SIZE, TURN_EVERY, Soap
 
 STEPS = 60  # more than two turns of the eigenvectors
 
@@ -47,6 +47,31 @@ def test_what_is_not_turned_is_scaled_as_by_adam(shape) -> None:
     start, weights = torch.randn(shape, dtype=torch.float64), torch.rand(shape, dtype=torch.float64)
     ends = [minimise(each, start, lambda x: (weights * x**4).sum()) for each in (Soap, adam)]
     assert ends[0].numpy() == pytest.approx(ends[1].numpy(), abs=1e-12)
+
+
+def test_diagonal_gradients_are_scaled_as_by_adam_also_when_they_change_places() -> None:
+    """Their eigenvectors are the axes; the second gradient becomes the larger one on the way."""
+    start = torch.diag(torch.tensor([0.5, 0.8], dtype=torch.float64))
+    weights = torch.tensor([2.0, 1.0], dtype=torch.float64)
+    loss = lambda x: weights @ x.diag() ** 2  # noqa: E731
+    ends = [minimise(each, start, loss, 4 * STEPS) for each in (Soap, adam)]
+    assert ends[0].numpy() == pytest.approx(ends[1].numpy(), abs=1e-9)
+
+
+def test_eigenvectors_follow_gradients_that_turn() -> None:
+    torch.manual_seed(3)
+    gradients = torch.randn(2, 5, 5, dtype=torch.float64)
+    parameters = torch.zeros(5, 5, dtype=torch.float64, requires_grad=True)
+    stepper = Soap([parameters], 0.01)
+    for gradient in gradients:
+        for _ in range(20 * TURN_EVERY):
+            parameters.grad = gradient.clone()
+            stepper.step()
+    moments = stepper.state[parameters]["moments"]
+    for side, basis in enumerate(moments.bases):
+        singular = torch.linalg.svd(gradients[1])[0 if side == 0 else 2]
+        vectors = singular if side == 0 else singular.T
+        assert (basis.T @ vectors).abs().numpy() == pytest.approx(torch.eye(5).numpy(), abs=1e-3)
 
 
 def test_a_smooth_network_is_fitted_in_fewer_steps_than_by_adam() -> None:

@@ -1,8 +1,8 @@
 """SOAP, an optimiser of networks. Imports torch at its top.
 
-Small smooth networks that are fitted to exact data, as the response to touches, are badly
-conditioned: Adam needs several times as many steps for the same loss, and now and then a step of
-it throws the network far back.
+Small smooth networks that are fitted to almost exact data, as the response to touches, are badly
+conditioned: Adam needs more steps for the same loss, and now and then a step of it throws the
+network far back.
 """
 
 from collections.abc import Iterable
@@ -12,7 +12,7 @@ from torch import Tensor  # noqa: TID253  see above
 
 MEMORY = 0.95  # share of the past in all running means
 TURN_EVERY = 20  # steps
-MAX_SIZE = 400  # of a side that is turned; longer ones cost half as much again and gain nothing
+MAX_SIZE = 400  # of a side that is turned, which costs its cube
 EPSILON = 1e-8
 
 
