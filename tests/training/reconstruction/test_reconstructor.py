@@ -12,7 +12,7 @@ from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Frame, Protocol
 from eitskin.training import PixelGrid, Reconstructor, Regularisation
 from eitskin.training.reconstruction.pixel_grid import figures_of_merit, picture_regions
-from eitskin.training.reconstruction.reconstructor import Method, silent_channels
+from eitskin.training.reconstruction.reconstructor import Method, silent_channels, suited_difference
 from eitskin.training.reconstruction.regularised_inverse import (
     gauss_newton,
     least_variation,
@@ -229,3 +229,9 @@ def test_mask_has_the_area_of_the_outline(outline, area):
     picture = grid.image(np.arange(len(grid)))
     assert np.isnan(picture).sum() == picture.size - len(grid)
     assert (picture[grid.inside] == np.arange(len(grid))).all()
+
+
+def test_many_channels_near_zero_ask_for_absolute_differences():
+    some, none = np.where(np.arange(40) % 4, 10.0, 1e-4), np.full(40, 10.0)
+    said = [suited_difference(Protocol.adjacent(8), reference) for reference in (some, none)]
+    assert said == ["absolute", None]
