@@ -34,7 +34,7 @@ coverage: $(VENV)/installed
 		$(BIN)/coverage report --include="$$part" --skip-covered --fail-under=95 || exit 1; done
 	$(BIN)/coverage report --skip-covered --format=total
 
-# Core formulas broken one by one in a copy: tests must fail.
+# Formulas broken one by one in a copy, as a seed draws them: tests must fail.
 mutations: $(VENV)/installed
 	$(BIN)/python tests/mutations/run.py $(ARGS)
 

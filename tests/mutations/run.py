@@ -1,11 +1,11 @@
 """Break formulas one at a time in a copy of the tree, and see that tests fail.
 
-    python tests/mutations/run.py [--jobs 2] [--only WORDS ...] [--drawn] [--seed 0]
+    python tests/mutations/run.py [--seed 0] [--jobs 2] [--only WORDS ...]
 
-`mutations.toml` lists wrong formulas and the tests that must notice them. With `--drawn`, others
-are drawn by a seed (`drawing.py`); the tests that may notice them are those of its folder and those
-that name its module. A mutation survives where these pass all the same:
-then a test is missing, or the mutation changes nothing, which `equivalent.toml` explains.
+`bugs.toml` lists a few bugs with the test that must notice each. Wrong formulas are drawn by a seed
+(`drawing.py`); the tests that may notice these are those of the folder and those that name the
+module. A mutation survives where these pass all the same: then a test is missing, or the mutation
+changes nothing, which `equivalent.toml` explains.
 """
 
 import argparse
@@ -29,7 +29,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 from mutations.drawing import Drawn, draw  # noqa: E402
 
-LIST = Path(__file__).with_name("mutations.toml")
+BUGS = Path(__file__).with_name("bugs.toml")
 EQUIVALENT = Path(__file__).with_name("equivalent.toml")
 ROOMS = ("geometry", "simulator", "datasets", "training", "hardware", "cli", "benchmarks")
 FOLDERS = (".types", "eitskin", *ROOMS, "docs", "tests")
@@ -46,35 +46,26 @@ class Mutation:
     Attributes:
         what: is wrong with it.
         file: that it is in, from the root of the tree.
-        old, new: text that is there once, and what takes its place.
+        text: of the file with it.
         tests: files in `tests`, or single tests of theirs, of which one must fail.
-        text: of the file with the mutation, where it was drawn and not listed.
     """
 
     what: str
     file: str
-    old: str
-    new: str
+    text: str
     tests: tuple[str, ...]
-    text: str = ""
-
-    def applied(self, root: Path = ROOT) -> str:
-        """The file's text with the mutation; raises ValueError where `old` is not there once."""
-        if self.text:
-            return self.text
-        text = (root / self.file).read_text(encoding="utf-8")
-        if (count := text.count(self.old)) != 1:
-            raise ValueError(
-                f"{self.what}: expected {self.old!r} once in {self.file}, found it {count} times; "
-                f"mend the entry in {LIST.name}"
-            )
-        return text.replace(self.old, self.new)
 
 
-def listed() -> list[Mutation]:
-    """All mutations of the list."""
-    entries = _entries(LIST, "mutations")
-    return [Mutation(**entry | {"tests": tuple(entry["tests"])}) for entry in entries]
+def listed_bugs() -> list[Mutation]:
+    """The bugs of the list; raises ValueError where the text of one is not there once."""
+    return [_listed(**entry) for entry in _entries(BUGS, "bugs")]
+
+
+def _listed(what: str, file: str, old: str, new: str, test: str) -> Mutation:
+    text = (ROOT / file).read_text(encoding="utf-8")
+    if (count := text.count(old)) != 1:
+        raise ValueError(f"{what}: {old!r} is {count} times in {file}; mend {BUGS.name}")
+    return Mutation(what, file, text.replace(old, new), (test,))
 
 
 def _entries(path: Path, name: str) -> list[dict[str, Any]]:
@@ -86,7 +77,7 @@ def drawn_mutations(seed: int) -> list[Mutation]:
     """Mutations of a draw with the test files that may notice them."""
     explained = {(each["old"], each["new"]) for each in _entries(EQUIVALENT, "equivalent")}
     return [
-        Mutation(each.what, each.file, "", "", _nearest(each), each.text)
+        Mutation(each.what, each.file, each.text, _nearest(each))
         for each in draw(ROOT, seed)
         if (each.old, each.new) not in explained
     ]
@@ -153,7 +144,7 @@ def broken(tree: Path, mutation: Mutation) -> int:
     path = tree / mutation.file
     sound = path.read_text(encoding="utf-8")
     try:
-        _write(path, mutation.applied(tree))
+        _write(path, mutation.text)
         return tested(tree, mutation.tests)
     finally:
         _write(path, sound)
@@ -167,21 +158,17 @@ def _write(path: Path, text: str) -> None:
 
 
 def main() -> int:
-    """Run the list; 1 where a mutation survives, 2 where one could not be tried."""
+    """Try all; 1 where a mutation survives, 2 where one could not be tried."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--jobs", type=int, default=2, help="how many are tried at once")
     parser.add_argument("--only", nargs="*", default=[""], help="words of what is to be tried")
-    parser.add_argument("--drawn", action="store_true", help="try mutations drawn by the seed")
     parser.add_argument("--seed", type=int, default=0, help="of the draw")
     options = parser.parse_args()
-    mutations = drawn_mutations(options.seed) if options.drawn else listed()
     mutations = [
         each
-        for each in mutations
+        for each in (*listed_bugs(), *drawn_mutations(options.seed))
         if any(words in f"{each.file}: {each.what}" for words in options.only)
     ]
-    for mutation in mutations:
-        mutation.applied()
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="mutations-") as temporary:
         trees: Queue[Path] = Queue()
