@@ -14,7 +14,7 @@ import multiprocessing
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cache, partial
 from itertools import groupby, repeat
@@ -176,7 +176,7 @@ def work(workload: Workload, count: int, seed: int) -> tuple[float, float]:
     return time.perf_counter() - start[0], time.process_time() - start[1]
 
 
-def rate(workload: Workload, count: int, pool: ProcessPoolExecutor) -> Rate:
+def rate(workload: Workload, count: int, pool: Executor) -> Rate:
     """Speed and error of a workload."""
     if workload.electrodes > FEW_ELECTRODES:
         count //= FEWER_SCENES
@@ -193,7 +193,7 @@ def rate(workload: Workload, count: int, pool: ProcessPoolExecutor) -> Rate:
     )
 
 
-def signal_errors(workload: Workload, pool: ProcessPoolExecutor) -> Array:
+def signal_errors(workload: Workload, pool: Executor) -> Array:
     """Relative errors of the signals of some scenes, (`JUDGED_SCENES`,)."""
     judged = dataclasses.replace(workload, name="", specimens=False)
     few = judged.electrodes <= FEW_ELECTRODES and not judged.disc
@@ -205,11 +205,11 @@ def signal_errors(workload: Workload, pool: ProcessPoolExecutor) -> Array:
 
 
 @cache
-def _true_signals(workload: Workload, pool: ProcessPoolExecutor) -> Array:
+def _true_signals(workload: Workload, pool: Executor) -> Array:
     return _signals(workload, pool)
 
 
-def _signals(workload: Workload, pool: ProcessPoolExecutor) -> Array:
+def _signals(workload: Workload, pool: Executor) -> Array:
     """Signals of the tested scenes' touches, or of bends without, [ohm]."""
     some = scenes(workload, JUDGED_SCENES, 99)
     others = [

@@ -1,5 +1,6 @@
 """Benchmarks of layouts and of speed."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -221,7 +222,8 @@ def test_a_workload_without_tolerance_is_off_by_its_mesh_alone(monkeypatch):
     """Against itself it has no error; a coarser mesh has."""
     monkeypatch.setattr(speed, "JUDGED_SCENES", 2)
     standard = Workload("", resolution="standard", tolerance=0.0)
-    truth = speed._signals(standard)
-    monkeypatch.setattr(speed, "_true_signals", lambda *_: truth)
-    assert np.abs(speed.signal_errors(standard)).max() < 1e-9
-    assert 1e-3 < speed.signal_errors(Workload("", tolerance=0.0)).max() < 0.1
+    with ThreadPoolExecutor(1) as pool:
+        truth = speed._signals(standard, pool)
+        monkeypatch.setattr(speed, "_true_signals", lambda *_: truth)
+        assert np.abs(speed.signal_errors(standard, pool)).max() < 1e-9
+        assert 1e-3 < speed.signal_errors(Workload("", tolerance=0.0), pool).max() < 0.1
