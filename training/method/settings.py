@@ -128,10 +128,10 @@ class JointSettings:
     """
 
     response: NetworkSettings = NetworkSettings(
-        0.01, epochs=60, batch=512, fewest_steps=2000, soap=True
+        0.01, epochs=90, batch=512, fewest_steps=2000, soap=True
     )
     proposals: NetworkSettings = NetworkSettings(2e-3, epochs=40, batch=512)
-    angles: NetworkSettings = NetworkSettings(0.01, epochs=40, batch=256, soap=True)
+    angles: NetworkSettings = NetworkSettings(3e-3, epochs=80, batch=256)
     drift: float = 0.02
 
     def __post_init__(self) -> None:
