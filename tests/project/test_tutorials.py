@@ -103,7 +103,7 @@ def same_numbers(now, then):
     if NUMBER.sub("", now) != NUMBER.sub("", then):
         return False
     return all(
-        float(a) == pytest.approx(float(b), rel=0.01, abs=10.0 ** -len(b.partition(".")[2]))
+        float(a) == pytest.approx(float(b), rel=0.01, abs=1.5 * 10.0 ** -len(b.partition(".")[2]))
         for a, b in zip(NUMBER.findall(now), NUMBER.findall(then), strict=True)
     )
 
