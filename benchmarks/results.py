@@ -247,25 +247,33 @@ def plot_errors(
     y: str,
     limits: Mapping[str, float] | None = None,
     ticks: Sequence[str] = (),
+    joined: bool = True,
 ) -> None:
     """Plot points by label, a panel for each title, on logarithmic scales into a PNG file.
 
     `limits` are marked values of y by name; `ticks` names of x = 0, 1, ..., on linear scales.
+    Points of a label are joined by lines unless they are of unlike cases.
     """
+    ticker = require("matplotlib.ticker", "bench")
     figure = require("matplotlib.figure", "bench").Figure(
         figsize=(8.0 * len(panels), 5.4), layout="constrained"
     )
     grid = figure.subplots(1, len(panels), squeeze=False, sharex=True)
     for axes, (title, series) in zip(grid.ravel(), panels.items(), strict=True):
-        for label, points in series.items():
+        for number, (label, points) in enumerate(series.items()):
             ordered = list(zip(*sorted(points), strict=True)) or [(), ()]
-            (axes.plot if ticks else axes.loglog)(*ordered, "o-", ms=4, lw=0.8, label=label)
+            style = "os^"[number // 10 % 3] + ("-" if joined else "")  # colours repeat after ten
+            (axes.plot if ticks else axes.loglog)(*ordered, style, ms=4, lw=0.8, label=label)
         for name, value in (limits or {}).items():
             axes.axhline(value, color="#999999", linewidth=0.8, linestyle=(0, (4, 3)))
             axes.text(0.01, 1.04 * value, name, transform=axes.get_yaxis_transform())
         axes.set(xlabel=x, ylabel=y, title=title)
         if ticks:
             axes.set_xticks(range(len(ticks)), ticks)
+        for axis in () if ticks else (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter(ticker.FormatStrFormatter("%g"))
+            axis.set_minor_formatter(ticker.NullFormatter())
         axes.grid(visible=True, which="major", color="#e4e4e4", linewidth=0.7)
         axes.spines[["top", "right"]].set_visible(False)
     handles, labels = grid[0, 0].get_legend_handles_labels()

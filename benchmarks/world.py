@@ -350,10 +350,11 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
     limits = {"target, median": 100 * MEDIAN, "target, worst": 100 * WORST}
     x, y = "time of the deformation at all points [s]", "error of the signal [%]"
     rows = [asdict(row) for row in errors]
+    draw = partial(plot_errors, panels={"": points}, x=x, y=y, limits=limits, joined=False)
     return Report(
         results=make_results("world", figures(errors), began=began, seed=seed, quick=quick),
         rows=rows,
         tables=[ReportTable.from_rows(rows, _COLUMNS, 2)],
         sentences=[*sentences(errors)],
-        plots={"world.png": partial(plot_errors, panels={"": points}, x=x, y=y, limits=limits)},
+        plots={"world.png": draw},
     )
