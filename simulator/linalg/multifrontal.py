@@ -24,7 +24,6 @@ Numbers = NDArray[Any]  # real or complex
 Indices = NDArray[np.int64]
 Places = slice | Indices
 
-_STRIP = 256  # rows of a Schur complement that are computed at once
 _MIN_RUN = 15  # rows, in the mean, of runs that are added one by one
 
 
@@ -215,22 +214,40 @@ class SingleFactors:
             x[own] = block.T @ np.concatenate([x[own], x[border]])
 
 
-def factorise(matrix: csc_array, blocks: Sequence[Block]) -> Factors:
-    """Factors L D L^T of a symmetric matrix (n, n), possibly indefinite, in the order of blocks.
+class IndefiniteSolver:
+    """Solver for symmetric, possibly indefinite matrices, in one order of elimination.
 
-    Raises RuntimeError for a singular matrix.
+    Fronts are set up again only where a matrix has other entries than the last one.
     """
-    order = np.concatenate([block.own for block in blocks])
-    position = np.empty_like(order)
-    position[order] = np.arange(len(order))
-    columns = csc_array(matrix[:, order])
-    rows = position[columns.indices]
-    later = rows >= np.repeat(np.arange(len(order)), np.diff(columns.indptr))
-    ends = np.concatenate([[0], np.cumsum(later)])[columns.indptr]
-    fronts = list(_fronts(blocks, ends, rows[later]))
-    return Factors(
-        order, fronts, list(_eliminate_fronts(fronts, columns.data[later], definite=False))
-    )
+
+    def __init__(self, blocks: Sequence[Block]) -> None:
+        """Prepare for matrices whose unknowns are in blocks."""
+        self._blocks = blocks
+        self._order = np.concatenate([block.own for block in blocks])
+        self._pattern: tuple[Indices, Indices] | None = None
+        self._lower = np.empty(0, dtype=np.int64)  # entries on and below the diagonal, in order
+        self._fronts: list[Front] = []
+
+    def factorise(self, matrix: csc_array) -> Factors:
+        """Factors L D L^T of a matrix (n, n); raises RuntimeError for a singular one."""
+        pattern = matrix.indptr, matrix.indices
+        if self._pattern is None or not all(map(np.array_equal, pattern, self._pattern)):
+            self._set_up(matrix)
+            self._pattern = pattern
+        factors = _eliminate_fronts(self._fronts, matrix.data[self._lower], definite=False)
+        return Factors(self._order, self._fronts, list(factors))
+
+    def _set_up(self, matrix: csc_array) -> None:
+        order = self._order
+        position = np.empty_like(order)
+        position[order] = np.arange(len(order))
+        numbered = np.arange(matrix.nnz), matrix.indices, matrix.indptr
+        columns = csc_array(csc_array(numbered, matrix.shape)[:, order])
+        rows = position[columns.indices]
+        later = rows >= np.repeat(np.arange(len(order)), np.diff(columns.indptr))
+        ends = np.concatenate([[0], np.cumsum(later)])[columns.indptr]
+        self._lower = columns.data[later]
+        self._fronts = list(_fronts(self._blocks, ends, rows[later]))
 
 
 def _fronts(blocks: Sequence[Block], ends: Indices, rows: Indices) -> Iterator[Front]:
@@ -356,18 +373,39 @@ def _ldl_front(
 ) -> tuple[_Factor, Numbers]:
     """Factor L D L^T of a front, and the lower triangle of its Schur complement."""
     lower, D, order = ldl(own, hermitian=False, check_finite=False)
-    lower = lower[order]
-    uncoupled = np.zeros((front.outer, front.size - front.coupled), dtype=below.dtype)
-    below = np.concatenate([uncoupled, below], axis=1)  # pivots mix all own unknowns
+    lower = np.asfortranarray(lower[order])
     inverse = _inverse(np.diagonal(D).copy(), np.append(np.diagonal(D, -1), 0.0))
-    rows = solve_triangular(
-        lower, below[:, order].T, lower=True, unit_diagonal=True, check_finite=False
-    )
-    scaled = _scale_rows(inverse, rows)
-    for first in range(0, len(corner), _STRIP):
-        strip = slice(first, first + _STRIP), slice(first + _STRIP)
-        corner[strip] -= rows[:, strip[0]].T @ scaled[:, strip[1]]
-    return _Factor(front.own.start + order, lower, inverse, rows.T), corner
+    # Pivots mix all own unknowns.
+    coupled = np.flatnonzero(order >= front.size - front.coupled)
+    rows = np.zeros((front.outer, front.size), dtype=below.dtype, order="F")
+    rows[:, coupled] = below[:, order[coupled] - (front.size - front.coupled)]
+    if front.outer:
+        trsm, syrk, syr2k = blas.get_blas_funcs(("trsm", "syrk", "syr2k"), (lower, rows))
+        rows = trsm(1.0, lower, rows, side=1, lower=1, trans_a=1, diag=1, overwrite_b=1)
+        if np.iscomplexobj(rows):
+            scaled = _scale_rows(inverse, rows.T).T
+            corner = syr2k(-0.5, rows, scaled, 1.0, corner, lower=1, overwrite_c=1)
+        else:  # squares take half the operations
+            squares, signs = _squares(inverse, rows)
+            for sign in (-1.0, 1.0):
+                part = squares[:, signs == sign]
+                corner = syrk(-sign, part, 1.0, corner, lower=1, overwrite_c=1)
+    return _Factor(front.own.start + order, lower, inverse, rows), corner
+
+
+def _squares(inverse: tuple[Numbers, Numbers], rows: Numbers) -> tuple[Numbers, Numbers]:
+    """W (n, k) and signs s (k,) of a real D, for which W diag(s) W^T is rows D^-1 rows^T."""
+    diagonal, beside = inverse
+    values, squares = diagonal.copy(), rows.copy(order="F")
+    first = np.flatnonzero(beside)  # of the pairs of unknowns that share a 2 x 2 pivot
+    if len(first):
+        p, q, r = diagonal[first], beside[first], diagonal[first + 1]
+        turn, spread = 0.5 * np.arctan2(q, 0.5 * (p - r)), np.hypot(0.5 * (p - r), q)
+        cos, sin, one, other = np.cos(turn), np.sin(turn), rows[:, first], rows[:, first + 1]
+        squares[:, first], squares[:, first + 1] = cos * one + sin * other, cos * other - sin * one
+        values[first], values[first + 1] = 0.5 * (p + r) + spread, 0.5 * (p + r) - spread
+    squares *= np.sqrt(np.abs(values))
+    return squares, np.sign(values)
 
 
 def _forward(front: Front, factor: _Factor, x: Numbers) -> tuple[Numbers, Numbers]:

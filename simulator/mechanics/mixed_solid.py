@@ -12,7 +12,7 @@ stress is positive in tension.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array
 
 from eitskin.errors import ConfigurationError
-from eitskin.simulator.linalg.multifrontal import factorise
+from eitskin.simulator.linalg.multifrontal import IndefiniteSolver
 from eitskin.simulator.linalg.sparse_structure import (
     Block,
     ElementBlocks,
@@ -237,7 +237,7 @@ class Solid(ForceTerm):
             return super().elimination(fixed, size)
         key = (size, fixed.tobytes())
         if self._eliminated is None or self._eliminated[0] != key:
-            self._eliminated = key, partial(factorise, blocks=self._blocks(fixed, size))
+            self._eliminated = key, IndefiniteSolver(self._blocks(fixed, size)).factorise
         return self._eliminated[1]
 
     def _blocks(self, fixed: Indices, size: int) -> list[Block]:

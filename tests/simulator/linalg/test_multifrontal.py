@@ -6,7 +6,7 @@ from scipy.sparse import csc_array
 
 from eitskin.errors import ConfigurationError
 from eitskin.simulator.linalg import sparse_structure
-from eitskin.simulator.linalg.multifrontal import MultifrontalSolver, factorise
+from eitskin.simulator.linalg.multifrontal import IndefiniteSolver, MultifrontalSolver
 from eitskin.simulator.linalg.sparse_structure import (
     Block,
     choose_order,
@@ -86,10 +86,14 @@ def test_solutions_and_inertia_are_those_of_an_indefinite_matrix(leaf, monkeypat
     monkeypatch.setattr(sparse_structure, "_LEAF", leaf)
     rng = np.random.default_rng(3)
     A, blocks = indefinite(rng)
-    found = factorise(csc_array(A), blocks)
-    assert found.negative == np.count_nonzero(np.linalg.eigvalsh(A) < 0.0)
-    right = rng.normal(size=len(A))
-    assert found.solve(right) == pytest.approx(np.linalg.solve(A, right), rel=1e-9, abs=1e-9)
+    solver, right = IndefiniteSolver(blocks), rng.normal(size=len(A))
+    coupled = np.where((A != 0.0) & (rng.random(A.shape) < 0.5), A, 0.0)
+    fewer = np.tril(coupled) + np.tril(coupled, -1).T + np.diag(np.diag(A))
+    for matrix in (A, A - 0.3 * np.diag(np.diag(A)), fewer):  # the last has another pattern
+        found = solver.factorise(csc_array(matrix))
+        assert found.negative == np.count_nonzero(np.linalg.eigvalsh(matrix) < 0.0)
+        solution = np.linalg.solve(matrix, right)
+        assert found.solve(right) == pytest.approx(solution, rel=1e-8, abs=1e-8)
 
 
 def test_factors_grow_as_n_log_n_in_an_order_that_suits_the_shape(monkeypatch):
@@ -105,7 +109,7 @@ def test_factors_grow_as_n_log_n_in_an_order_that_suits_the_shape(monkeypatch):
     A, blocks = indefinite(np.random.default_rng(6))
     A[5] = A[:, 5] = 0.0
     with pytest.raises(RuntimeError, match="singular"):
-        factorise(csc_array(A), blocks)
+        IndefiniteSolver(blocks).factorise(csc_array(A))
     monkeypatch.setattr(sparse_structure, "_LEAF", 20)
 
     def entries(n):
