@@ -189,12 +189,6 @@ def excel(path, *pages):
     book.save(path)
 
 
-def polar(frames, first="{:.9g}", second="{:.9g}"):
-    """Cells of magnitudes and phases beside each other."""
-    pairs = (zip(np.abs(f), np.degrees(np.angle(f)), strict=True) for f in frames)
-    return [",".join(f"{first.format(a)},{second.format(b)}" for a, b in row) for row in pairs]
-
-
 def long_rows(frames):
     """A line for each reading, with the frame's number."""
     lines = (f"{k},{value:.9g}" for k, frame in enumerate(frames) for value in frame)
@@ -258,10 +252,6 @@ FORMS = [
     Form("pandas, columns and rows named by numbers", "a.csv",
          text(["," + names("", 40), *(f"{k},{r}" for k, r in enumerate(rows()))]), P8),
     Form("no names, words first", "a.csv", text([f"idle,{r}" for r in rows()]), P8),
-    Form("magnitudes and phases", "a.csv", text([",".join(f"mag_{k},phase_{k}" for k in range(40)),
-         *polar(COMPLEX)]), P8, COMPLEX),
-    Form("real and imaginary parts", "a.csv", text([",".join(f"re{k},im{k}" for k in range(40)),
-         *(",".join(f"{z.real:.9g},{z.imag:.9g}" for z in f) for f in COMPLEX)]), P8, COMPLEX),
     Form("complex as MATLAB prints it", "a.csv", text([PLAIN[0],
          *(",".join(f"{z.real:.9g}{z.imag:+.9g}i" for z in f) for f in COMPLEX)]), P8, COMPLEX),
     Form("a drive pair's readings a row", "a.csv", text([names("v", N - 3),

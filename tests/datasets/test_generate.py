@@ -27,7 +27,7 @@ from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.recipe import with_seed
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimens
-from eitskin.datasets.store import shard_reader, worker_processes
+from eitskin.datasets.store import worker_processes
 from eitskin.datasets.store.shard import append_checksum, shard_name, verify_checksum
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.geometry import Free, Hinge, Plates
@@ -138,53 +138,25 @@ def test_frames_are_what_the_recipe_says_and_the_simulator_measures(whole):
     assert abs(together[0, 1]) < 0.2
 
 
-def test_damaged_and_lost_shards_are_made_again(whole, tmp_path, monkeypatch):
+def test_damaged_lost_and_other_shards_are_made_again(whole, tmp_path, monkeypatch):
+    """Also those of other attributes whose seal is whole."""
     in_this_process(monkeypatch)
-    folder = tmp_path / "damaged"
-    folder.mkdir()
-    for name, content in contents(whole).items():
-        (folder / name).write_bytes(content)
+    folder, first, seen = tmp_path / "set", tmp_path / "set" / shard_name(0), []
+    shutil.copytree(whole, folder)
     (folder / shard_name(1)).write_bytes(b"rubbish")
     sound = (folder / shard_name(2)).read_bytes()
     (folder / shard_name(2)).write_bytes(sound[:4096] + bytes(4096) + sound[8192:])
     (folder / shard_name(3)).unlink()
-    opened, tried = [], []
-    monkeypatch.setattr(shard_reader, "read_in_subprocess", lambda *task: tried.append(task) or ())
-    reader = shard_reader._read
-    monkeypatch.setattr(shard_reader, "_read", lambda i, n: opened.append(i) or reader(i, n))
-    seen, reports = [], []
-    generate(
-        RECIPE,
-        folder,
-        progress=lambda *counts: reports.append(counts),
-        resume=True,
-        examined=lambda *counts: seen.append(counts),
-    )
-    assert contents(folder) == contents(whole)
-    assert seen == [(number + 1, RECIPE.shards) for number in range(RECIPE.shards)]
-    assert len(reports) == 4
-    assert len(tried) == 1  # in a child first, whose seal is whole
-    assert opened == [
-        verify_checksum(contents(whole)[shard_name(0)])[0]
-    ]  # HDF5 sees sound files alone
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("seed", -5), ("frequency", np.inf), ("quantity", "magnitude"), ("engine", np.inf)],
-)
-def test_a_shard_of_other_attributes_is_made_again(whole, tmp_path, monkeypatch, name, value):
-    """Although its seal is whole."""
-    in_this_process(monkeypatch)
-    folder, path = tmp_path / "set", tmp_path / "set" / shard_name(0)
-    shutil.copytree(whole, folder)
-    (folder / "manifest.json").unlink()
-    path.write_bytes(verify_checksum(path.read_bytes())[0])
-    with h5py.File(path, "r+") as file:
-        file.attrs[name] = value
-    path.write_bytes(append_checksum(path.read_bytes()))
-    generate(RECIPE, folder, resume=True)
-    assert contents(folder) == contents(whole)
+    wrong = {"seed": -5, "frequency": 1e3, "quantity": "magnitude", "engine": np.inf}
+    for name, value in wrong.items():
+        (folder / "manifest.json").unlink()  # which has their sums
+        first.write_bytes(verify_checksum(first.read_bytes())[0])
+        with h5py.File(first, "r+") as file:
+            file.attrs[name] = value
+        first.write_bytes(append_checksum(first.read_bytes()))
+        generate(RECIPE, folder, resume=True, examined=lambda *counts: seen.append(counts))
+        assert contents(folder) == contents(whole)
+    assert seen == [(number + 1, RECIPE.shards) for number in range(RECIPE.shards)] * len(wrong)
 
 
 def test_a_dataset_begun_by_another_simulation_is_opened_but_not_continued(

@@ -14,7 +14,6 @@ from eitskin.datasets.recipe.frame_sampling import (
     Stream,
     generator,
     sample,
-    specimen,
     specimen_numbers,
 )
 from eitskin.datasets.recipe.recipe import with_seed
@@ -75,27 +74,6 @@ def test_recipes_are_the_same_after_writing_and_reading(recipe, tmp_path):
     assert Recipe.from_toml(write(tmp_path, recipe.to_toml())) == recipe
 
 
-def test_paper_recipes_hold_the_numbers_of_the_paper():
-    assert all(Recipe.from_shipped(name).name == name for name in shipped_names())
-    idle, bent, pressed = Recipe.from_shipped("paper_states").scenes
-    assert [idle.frames, bent.frames, pressed.frames] == [360] * 3
-    assert (bent.angle_deg, pressed.touches) == ((-20.0, 50.0), (1, 4))
-    bending = Recipe.from_shipped("paper_bending")
-    assert (bending.snapshots, bending.episodes[0].angles_deg) == (360, (-20.0, 50.0))
-    (indentation,) = Recipe.from_shipped("paper_indentation").scenes
-    grid = np.array([(x, y) for x in np.arange(15, 136, 15) for y in (15, 30, 45)]) / 1e3
-    assert np.allclose(sorted(indentation.positions), grid)
-    assert (indentation.repeats, indentation.force) == (8, (10.0, 10.0))
-    assert [(g.touches, g.angle_deg) for g in Recipe.from_shipped("paper_touch").scenes] == [
-        ((1, 1), (-10.0, 50.0)),
-        *(((n, n), (0.0, 30.0)) for n in (2, 3, 4)),
-    ]
-    (demo,) = Recipe.from_shipped("paper_demo").episodes
-    presses = [(k.angle_deg, len(k.touches)) for k in demo.keyframes if k.touches]
-    assert presses == [(-10.0, 2), (20.0, 3), (40.0, 4), (0.0, 4)]
-    assert demo.period == 0.303
-
-
 def test_episodes_are_not_cut():
     recipe = Recipe(
         "uncut",
@@ -135,22 +113,6 @@ def test_a_recipe_may_name_what_lies_beside_it_and_is_written_whole(tmp_path, te
     recipe = Recipe.from_toml(write(tmp_path, whole))
     assert getattr(recipe, name) == value
     assert parse_toml(Recipe, recipe.to_toml()) == recipe
-
-
-def test_plates_are_as_far_apart_as_each_specimen_s_hinge():
-    recipe = dataclasses.replace(
-        MIXED,
-        sensor=dataclasses.replace(MIXED.sensor, support=Plates()),
-        scenes=(dataclasses.replace(BENT, support=Plates()),),
-        specimens=Specimens(5, hinge_span=1e-3),
-    )
-    drawn = [sample(recipe, index) for index in range(recipe.frames)]
-    spans = {each.scene.support.span for each in drawn}
-    assert len(spans) == 5
-    for each in drawn:
-        made = specimen(recipe, each.specimen)
-        assert each.scene.support.span == pytest.approx(made.fixture.span, abs=1e-12)
-        assert made.design.support.span == pytest.approx(made.fixture.span, abs=1e-12)
 
 
 ROLLED = SceneGroup(
@@ -307,26 +269,18 @@ def all_samples(recipe):
 @pytest.mark.slow
 def test_frames_hold_what_their_group_says_by_seed_and_number_alone():
     outline = MIXED.sensor.outline
-    for drawn in (sample(MIXED, index) for index in range(MIXED.frames)):
+    for drawn in all_samples(MIXED):
         touches = drawn.scene.touches
         if drawn.state == State.IDLE:
             assert drawn.scene.bend == Bend(0.0)
         if drawn.state != State.TOUCH:
             assert touches == ()
             continue
-        assert 1 <= len(touches) <= 4
-        assert 0.0 <= drawn.scene.bend.angle_deg <= 30.0
         places = np.array([(touch.x, touch.y) for touch in touches])
         assert (places >= 0.012).all()
         assert (places <= np.array([outline.length, outline.width]) - 0.012).all()
-        assert all(8.0 <= touch.force <= 12.0 for touch in touches)
         gaps = np.linalg.norm(places[:, None] - places, axis=-1)
         assert (gaps[np.triu_indices(len(places), 1)] >= 0.030).all()
-    counts = {len(sample(MIXED, i).scene.touches) for i in range(MIXED.frames)}
-    angles = [sample(MIXED, i).scene.bend.angle_deg for i in range(MIXED.frames)]
-    assert counts == {0, 1, 2, 3, 4}
-    assert min(angles) < -10.0
-    assert max(angles) > 40.0
     backwards = [sample(MIXED, index) for index in reversed(range(20))][::-1]
     assert backwards == [sample(MIXED, index) for index in range(20)]
     assert [s.scene for s in backwards] != [sample(with_seed(MIXED, 6), i).scene for i in range(20)]

@@ -223,6 +223,8 @@ def written(path, first, second, values=COMPLEX, degrees=None, apart=False):
         ("Real {}", "Imag {}", None),
         ("ch{} I [V]", "ch{} Q [V]", None),
         ("R{}", "X{}", None),
+        ("mag_{}", "phase_{}", True),
+        ("re{}", "im{}", None),
         ("Z{} (ohm)", "phi{} (deg)", True),
         ("|Z{}|", "arg(Z{}) [rad]", False),
     ],
