@@ -18,7 +18,7 @@ from eitskin.datasets import Dataset, Recipe, State
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.geometry import Bend, SensorDesign
 from eitskin.simulator import Protocol, Scene, Simulator, Touch
-from eitskin.training import FoundTouches, Pipeline, Predictions, TrainingSettings
+from eitskin.training import Pipeline, Predictions, TrainingSettings
 from eitskin.training.evaluation.cramer_rao import scene_derivatives
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Adaptation, Calibration, Method
@@ -91,23 +91,19 @@ class Known(Method):
     fit = from_arrays = arrays = None
     place: float  # m, along x
     angle_deg: float
+    spec: InputSpec
 
     def predict(self, observations):
-        return Predictions.concatenate([self._one(row) for row in observations.static])
-
-    def _one(self, static):
-        frames = [(each, row) for each in SETS for row in range(len(each))]
-        values = np.array([each.impedance[row].real / FLAT - 1 for each, row in frames])
-        data, row = frames[int(np.abs(values - static).sum(axis=1).argmin())]
-        places = np.stack([data.touch_x[row], data.touch_y[row]], axis=1)
-        places = places[np.isfinite(places[:, 0])] + [self.place, 0.0]
-        return Predictions(
-            np.eye(3)[[data.state[row]]],
-            np.array([data.bend_angle_deg[row] + self.angle_deg]),
-            np.full(1, np.nan),
-            np.zeros((1, 32, 80), np.float32),
-            (FoundTouches.from_arrays(places, np.ones(len(places))),),
-            ((),),
+        data = Dataset.concatenate(SETS)
+        changes = data.impedance.real / FLAT - 1
+        rows = [np.abs(changes - row).sum(axis=1).argmin() for row in observations.static]
+        true = data.select(rows)
+        return Predictions.from_arrays(
+            len(rows),
+            self.spec,
+            probabilities=np.eye(3)[true.state],
+            bend_angle_deg=true.bend_angle_deg + self.angle_deg,
+            places=np.stack([true.touch_x + self.place, true.touch_y], axis=2),
         )
 
     def adapt(self, known):
@@ -123,7 +119,8 @@ def pipeline(place, angle_deg):
     layout = InputSpec(SensorDesign.reference(), Protocol.pairwise(8), 40e3, FLAT)
     said = {"frames": 7, "source": "simulated", "sha256": ""}
     examples = Observations.from_dataset(dataset([(0, 0)], 77))
-    return Pipeline(layout, Known(place, angle_deg), NOISE, TrainingSettings(), said, examples)
+    known = Known(place, angle_deg, layout)
+    return Pipeline(layout, known, NOISE, TrainingSettings(), said, examples)
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,7 @@ from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.recipe import with_seed
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimens
-from eitskin.datasets.store import worker_processes
+from eitskin.datasets.store import shard_reader, worker_processes
 from eitskin.datasets.store.shard import append_checksum, shard_name, verify_checksum
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.geometry import Free, Hinge, Plates
@@ -141,7 +141,8 @@ def test_frames_are_what_the_recipe_says_and_the_simulator_measures(whole):
 def test_damaged_lost_and_other_shards_are_made_again(whole, tmp_path, monkeypatch):
     """Also those of other attributes whose seal is whole."""
     in_this_process(monkeypatch)
-    folder, first, seen = tmp_path / "set", tmp_path / "set" / shard_name(0), []
+    folder, first, seen, tried = tmp_path / "set", tmp_path / "set" / shard_name(0), [], []
+    monkeypatch.setattr(shard_reader, "read_in_subprocess", lambda *task: tried.append(task) or ())
     shutil.copytree(whole, folder)
     (folder / shard_name(1)).write_bytes(b"rubbish")
     sound = (folder / shard_name(2)).read_bytes()
@@ -157,6 +158,7 @@ def test_damaged_lost_and_other_shards_are_made_again(whole, tmp_path, monkeypat
         generate(RECIPE, folder, resume=True, examined=lambda *counts: seen.append(counts))
         assert contents(folder) == contents(whole)
     assert seen == [(number + 1, RECIPE.shards) for number in range(RECIPE.shards)] * len(wrong)
+    assert len(tried) == 2 + 3 * RECIPE.shards  # all that may be whole, in a child first
 
 
 def test_a_dataset_begun_by_another_simulation_is_opened_but_not_continued(

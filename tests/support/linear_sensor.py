@@ -1,25 +1,15 @@
 """The reference sensor to first order: fast enough to make a training set in a test."""
 
-import fcntl
-import json
-import os
 from functools import lru_cache
 
 import numpy as np
-import pytest
 from touched_dataset import touched_dataset
 
 from eitskin.datasets import State
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import ForwardModel, Protocol
-from eitskin.training import NetworkSettings, Pipeline, TrainingSettings
-from eitskin.training.method import input_spec
 
 NOISE = 1e-5  # relative, of one frame; low, so that few and brief lessons suffice
-SETTINGS = TrainingSettings(
-    classifier=NetworkSettings(2e-3, epochs=9, batch=16),
-    postprocessor=NetworkSettings(5e-3, epochs=24, batch=16),
-)
 X, Y = np.meshgrid((np.arange(80) + 0.5) * 0.150 / 80, (np.arange(32) + 0.5) * 0.060 / 32)
 
 
@@ -71,32 +61,3 @@ class LinearSensor:
 def linear_sensor():
     """One for all who ask: its sensitivity takes seconds."""
     return LinearSensor()
-
-
-def trained_pipeline(factory):
-    """Folder of a pipeline trained on its dataset, and a list of what it said of its progress.
-
-    Trained by whichever process asks first; the others wait, and read what it wrote.
-    """
-    base = factory.getbasetemp()
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        base = base.parent  # that of all workers
-    folder, begun = base / "linear-sensor", base / "begun-linear-sensor"
-    with (base / "linear-sensor.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not folder.exists():
-            _train(begun)
-            begun.rename(folder)
-    return folder / "trained.eitmodel", json.loads((folder / "said.json").read_text())
-
-
-def _train(folder):
-    said = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(input_spec, "PIXELS", 640)  # a quarter of the usual, for speed
-        pipeline = Pipeline.fit(
-            linear_sensor().dataset(), SETTINGS, lambda *progress: said.append(progress)
-        )
-    folder.mkdir()
-    pipeline.save(folder / "trained.eitmodel")
-    (folder / "said.json").write_text(json.dumps(said))
