@@ -60,9 +60,10 @@ from eitskin.provenance import Provenance
 PICTURE = {"p.png": lambda path: path.write_bytes(b"p")}
 
 
-def made(name="one", quick=False, seed=0):
-    figures = {"a": 1.5, "b": 2.0}
-    return Results(name, "eitskin bench one", Provenance.now(seed), 3.0, quick, figures)
+def made(figures=None, name="one", **changes):
+    known = figures or {"a": 1.5, "b": 2.0}
+    results = Results(name, f"eitskin bench {name}", Provenance.now(0), 3.0, False, known)
+    return replace(results, **changes)
 
 
 def test_results_are_read_as_written_but_for_figures_that_are_no_number(tmp_path):
@@ -74,7 +75,7 @@ def test_results_are_read_as_written_but_for_figures_that_are_no_number(tmp_path
     assert comment == f"# {results.provenance}"
     rows = [{"figure": "a", "value": "1.5"}, {"figure": "b", "value": "2.0"}]
     assert list(csv.DictReader(lines)) == rows
-    Report(made("two", quick=True)).write(tmp_path)
+    Report(made(name="two", quick=True)).write(tmp_path)
     (tmp_path / "frames").mkdir()  # no results in it
     assert [each.name for each in found_results(tmp_path)] == ["one", "two"]
     text = write_index(tmp_path).read_text()
@@ -123,25 +124,21 @@ PAGE = "| | published | ours |\n|---|---|---|\n| one touch | 4.8 mm | 1.1 mm |\n
 KEYS = {"one touch": ["", "touch.error_mm"]}
 
 
-def results(figures):
-    return Results("paper", "eitskin bench paper", Provenance.now(0), 1.0, False, figures)
-
-
 def test_pages_show_what_is_published_as_figures_and_tables():
     for page, text in pages(full_results()).items():
         assert page.read_text(encoding="utf-8") == text, "run `make pages`"
-    assert with_figures(PAGE, KEYS, results({"touch.error_mm": 1.14})) == PAGE
-    changed = with_figures(PAGE, KEYS, results({"touch.error_mm": 2.26}))
+    assert with_figures(PAGE, KEYS, made({"touch.error_mm": 1.14})) == PAGE
+    changed = with_figures(PAGE, KEYS, made({"touch.error_mm": 2.26}))
     assert changed == PAGE.replace("1.1 mm", "2.3 mm")
     assert (rewritten("18.6", 9.04), rewritten("4,311", 12345.6)) == ("9.0", "12,346")
     for keys in ({"two touches": []}, {"one touch": ["", "touch.none"]}):
         with pytest.raises(ConfigurationError, match="quoted"):
-            with_figures(PAGE, keys, results({"touch.error_mm": 1.0}))
+            with_figures(PAGE, keys, made({"touch.error_mm": 1.0}))
     figures = {"a / x [mm]": 1.5, "a / y": 2.0, "b / x [mm]": 3.0, "time.p50": 4.0, "c / y": 5.0}
-    page = result_section(results(figures | {"a / y +-": 0.25}), "T", shown="[^c].*")
+    page = result_section(made(figures | {"a / y +-": 0.25}), "T", shown="[^c].*")
     assert "| | x [mm] | y |\n|---|---|---|\n| a | 1.5 | 2 ± 0.25 |\n| b | 3 |  |\n" in page
     assert "| | p50 |\n|---|---|\n| time | 4 |\n" in page
-    assert "eitskin bench paper" in page
+    assert "eitskin bench one" in page
 
 
 # The suite that runs them
@@ -162,8 +159,8 @@ class Started:
         if not self.status:
             seed = int(command[command.index("--seed") + 1]) if "--seed" in command else 0
             name, quick = command[command.index("bench") + 1], "--quick" in command
-            made = Results(name, "", Provenance.now(seed), 1.0, quick, {"a": 1.0})
-            Report(made).write(self.out)
+            changes = {"provenance": Provenance.now(seed), "quick": quick}
+            Report(made(name=name, **changes)).write(self.out)
         return self.status
 
 
@@ -251,12 +248,8 @@ def test_every_benchmark_is_a_command_that_takes_its_options():
 
 ROOT = Path(__file__).parents[2]
 FROZEN = ROOT / "benchmarks" / "skinbench" / "recipes"
+RECORDED = "recordings"  # the name of their results
 TRACK = {track.results: track for track in TRACKS}
-
-
-def entry_results(figures, name="recordings", **changes):
-    made = Results(name, f"eitskin bench {name}", Provenance.now(0), 1.0, False, figures)
-    return replace(made, **changes)
 
 
 def made_today():
@@ -271,9 +264,9 @@ def made_today():
 
 @pytest.mark.slow
 def test_recipes_are_frozen():
-    for track, made in made_today().items():
+    for track, recipes in made_today().items():
         kept = {path.stem: Recipe.from_toml(path) for path in (FROZEN / track).iterdir()}
-        today = {re.sub("[ ,]+", "-", name): recipe for name, recipe in made.items()}
+        today = {re.sub("[ ,]+", "-", name): recipe for name, recipe in recipes.items()}
         assert set(kept) == set(today), track
         for name, recipe in kept.items():
             assert recipe == today[name], f"{track}/{name}: other frames need another VERSION"
@@ -291,18 +284,18 @@ def test_figures_become_scores_and_a_run_again_replaces_its_entries():
     assert scores["as it is: angle"] == 2.0 + len(WORLDS) - 1
     assert scores["as it is: found"] == pytest.approx(90.0 - 10.0 * (len(WORLDS) - 1))
     assert set(scores) == {"as it is: angle", "as it is: found"}
-    first = Leaderboard().with_results(entry_results({"400 / maps": 3.0, "400 / ridge": 19.0}))
-    other = first.with_results(entry_results({"400 / maps": 4.0}, command="eitskin bench other"))
-    again = other.with_results(entry_results({"400 / maps": 2.0, "5 / few": 3.0}))
+    first = Leaderboard().with_results(made({"400 / maps": 3.0, "400 / ridge": 19.0}, RECORDED))
+    other = first.with_results(made({"400 / maps": 4.0}, RECORDED, command="eitskin bench other"))
+    again = other.with_results(made({"400 / maps": 2.0, "5 / few": 3.0}, RECORDED))
     assert [each.scores.get("400 presses") for each in again.entries] == [2.0, 4.0, 19.0, None]
-    table = again.table(TRACK["recordings"]).splitlines()
+    table = again.table(TRACK[RECORDED]).splitlines()
     assert table[2].startswith("| maps | 2.00 |  |")
     assert all(line.count("|") == table[0].count("|") for line in table)
 
 
 def test_the_file_is_read_as_written_is_that_of_the_results_and_others_are_refused(tmp_path):
     path = tmp_path / "board.json"
-    board = Leaderboard().with_results(entry_results({"50 / maps": 3.0}), "f00d", {"maps": "c0de"})
+    board = Leaderboard().with_results(made({"50 / maps": 3.0}, RECORDED), "f00d", {"maps": "c0de"})
     write_leaderboard(path, board)
     assert read_leaderboard(path) == board
     assert (board.entries[0].frames, board.entries[0].code) == ("f00d", "c0de")
@@ -321,7 +314,7 @@ def test_the_file_is_read_as_written_is_that_of_the_results_and_others_are_refus
 
 def test_a_benchmark_enters_its_results_with_the_digests_of_frames_and_code(tmp_path, monkeypatch):
     start = "my:Net / {}, 0 angles / place, mean [mm]"
-    found = entry_results({start.format(world): 2.5 for world in WORLDS}, "transfer")
+    found = made({start.format(world): 2.5 for world in WORLDS}, "transfer")
     monkeypatch.setattr(transfer, "run", lambda *_: Report(found, tables=[ReportTable((), [])]))
     (tmp_path / "transfer").mkdir()
     manifest, code = tmp_path / "transfer" / "manifest.json", tmp_path / "my.py"

@@ -2,8 +2,11 @@
 
 import numpy as np
 
+from eitskin.simulator import Frame
 from eitskin.training import Observations
 from eitskin.training.method.known_frames import KnownFrames
+
+from smooth_sensor import FLAT, LAYOUT, PROTOCOL
 
 
 def known_frames(flat, flat_frames, change, angle_deg, *, touches=None, before=None, age=0.0):
@@ -28,3 +31,9 @@ def known_frames(flat, flat_frames, change, angle_deg, *, touches=None, before=N
     reference = np.where(np.any(before, axis=1), angles, 0.0)
     touches = np.full((count, 1, 3), np.nan) if touches is None else touches
     return KnownFrames(observations, angles, reference, touches, np.ones(count, dtype=bool))
+
+
+def known_by_levels(labels, levels):
+    """Frames whose log V is this much above that of the flat sensor, half a second apart."""
+    frames = [Frame(FLAT * np.exp(z) + 0j, PROTOCOL, 0.5 * i) for i, z in enumerate(levels)]
+    return KnownFrames.from_frames(frames, labels, LAYOUT)

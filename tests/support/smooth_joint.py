@@ -2,16 +2,22 @@
 
 import numpy as np
 
-from eitskin.geometry import SensorDesign
-from eitskin.training import InputSpec
 from eitskin.training.joint.combinations import SpecimenFeatures
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.networks import ProposalNetwork
 from eitskin.training.method.input_spec import mirrors
 
-from smooth_sensor import FLAT, MEASUREMENTS, PROTOCOL, SIZE, TOUCH_PRIOR, curves, places, response
-
-LAYOUT = InputSpec(SensorDesign.reference(), PROTOCOL, 40e3, FLAT)
+from smooth_sensor import (
+    FLAT,
+    LAYOUT,
+    MEASUREMENTS,
+    PROTOCOL,
+    SIZE,
+    TOUCH_PRIOR,
+    curves,
+    places,
+    response,
+)
 
 
 def silent_proposals():

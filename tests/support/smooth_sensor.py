@@ -4,6 +4,7 @@ import numpy as np
 
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
+from eitskin.training import InputSpec
 from eitskin.training.joint.bend_curve import (
     MEAN_POWERS,
     RANDOM_POWERS,
@@ -25,6 +26,7 @@ _ELECTRODES = np.array([[e.x, e.y] for e in SensorDesign.reference().electrodes]
 _PAIRS = np.array([row[:2] for row in PROTOCOL.table])
 MEASUREMENTS = Combinations(np.full(28, NOISE))  # each by itself
 FLAT = 300.0 + 5e3 * np.linalg.norm(_ELECTRODES[_PAIRS[:, 0]] - _ELECTRODES[_PAIRS[:, 1]], axis=1)
+LAYOUT = InputSpec(SensorDesign.reference(), PROTOCOL, 40e3, FLAT)
 _SOFTNESS = 0.020  # m: how near to an electrode its field no longer grows
 
 

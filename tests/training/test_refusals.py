@@ -7,15 +7,15 @@ from functools import partial
 
 import numpy as np
 import pytest
+from known_frames import known_by_levels
 from touched_dataset import touched_dataset
 
 from eitskin.datasets import Dataset, State
 from eitskin.errors import ConfigurationError, DataError, FrameError
 from eitskin.geometry import Disc, Hinge, SensorDesign
-from eitskin.simulator import Frame, Protocol, Scene, Touch
+from eitskin.simulator import Protocol, Scene, Touch
 from eitskin.training import (
     FrameLabel,
-    InputSpec,
     NetworkSettings,
     Pipeline,
     PixelGrid,
@@ -38,9 +38,8 @@ from eitskin.training.reconstruction.pixel_grid import figures_of_merit
 from eitskin.training.twin.labelled_frames import labelled_frames
 
 from made_up_sensor import frames
-from smooth_sensor import FLAT, PROTOCOL
+from smooth_sensor import FLAT, LAYOUT, PROTOCOL
 
-SPEC = InputSpec(SensorDesign.reference(), PROTOCOL, 40e3, FLAT)
 REST, BENT = FrameLabel(), FrameLabel(20.0)
 FAR = FrameLabel(0.0, (TouchLabel(75.0, 30.0),))
 SLOPES = np.random.default_rng(6).normal(size=(4, 9))
@@ -53,12 +52,6 @@ ONLY_BENT = Dataset.from_arrays(
 GRID = PixelGrid.from_outline(Disc(0.1), 100)
 
 
-def known(labels, levels):
-    """Frames whose log V is this much above that of the flat sensor, half a second apart."""
-    given = [Frame(FLAT * np.exp(z) + 0j, PROTOCOL, 0.5 * i) for i, z in enumerate(levels)]
-    return KnownFrames.from_frames(given, labels, SPEC)
-
-
 def of_specimens(count, labels=None):
     """Known frames of a dataset of four."""
     data = touched_dataset(np.tile(FLAT, (4, 1)), FLAT, [[]] * 4, protocol=PROTOCOL)
@@ -68,7 +61,7 @@ def of_specimens(count, labels=None):
         specimen=np.arange(4) % count,
         specimen_number=np.arange(count),
     )
-    return KnownFrames.from_frames(data, labels, SPEC)
+    return KnownFrames.from_frames(data, labels, LAYOUT)
 
 
 def fit(name, **options):
@@ -89,8 +82,8 @@ RULES = ("gcv:1", "snr", "snr:x", "snr:-1", "lambda:inf", "l-curve:1")
 SCALES = ([1.0, math.nan], [1.0, -1.0], [1.0, 1.0, 1.0])
 REFUSALS = {
     ConfigurationError: [
-        (lambda: known([REST], [0, 0]), "1 labels and 2 frames"),
-        (lambda: known([BENT, BENT], [0, 0]), "record the flat sensor"),
+        (lambda: known_by_levels([REST], [0, 0]), "1 labels and 2 frames"),
+        (lambda: known_by_levels([BENT, BENT], [0, 0]), "record the flat sensor"),
         (lambda: of_specimens(2), "2 specimens"),
         (lambda: of_specimens(1, [REST]), "no labels beside"),
         (lambda: NetworkSettings(0.0, epochs=1), "learning_rate"),
@@ -116,7 +109,7 @@ REFUSALS = {
         *((partial(Regularisation.from_text, text), "expected a rule") for text in RULES),
     ],
     DataError: [
-        (lambda: known([REST, FAR], [0, 0]), "places are in metres"),
+        (lambda: known_by_levels([REST, FAR], [0, 0]), "places are in metres"),
         (lambda: FrameLabel(math.inf), "angle up to 360"),
         (lambda: TouchLabel(0.1, 0.03, 0.0), "above 0 N"),
         (lambda: TouchLabel(math.nan, 0.03), "position"),
@@ -131,7 +124,7 @@ REFUSALS = {
         ),
     ],
     FrameError: [
-        (lambda: known([REST, BENT], [3.0, 3.1]), "times those"),
+        (lambda: known_by_levels([REST, BENT], [3.0, 3.1]), "times those"),
     ],
     MethodCodeError: [
         (lambda: method_class("$(id):M"), r"--method '\$\(id\)\.py:M' "),

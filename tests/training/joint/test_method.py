@@ -5,13 +5,13 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from known_frames import known_frames
-from smooth_joint import LAYOUT, smooth_method
+from smooth_joint import smooth_method
 
 from eitskin.datasets import State
 from eitskin.training import Observations
 from eitskin.training.joint.method import JointMethod
 
-from smooth_sensor import FLAT, NOISE, PROTOCOL, TOUCH_PRIOR, powers
+from smooth_sensor import FLAT, LAYOUT, NOISE, PROTOCOL, TOUCH_PRIOR, powers
 
 TOUCH = (0.045, 0.021, 8.0)
 ELECTRODE = [i for i, row in enumerate(PROTOCOL.table) if 3 in row[:2]]

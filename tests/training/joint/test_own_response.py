@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from known_frames import known_frames
-from smooth_joint import LAYOUT, smooth_method
+from smooth_joint import smooth_method
 
 from eitskin.training.joint.adaptation import own_output, own_response
 from eitskin.training.joint.method import JointMethod
 
-from smooth_sensor import FLAT, MEASUREMENTS, NOISE, TOUCH_PRIOR, response
+from smooth_sensor import FLAT, LAYOUT, MEASUREMENTS, NOISE, TOUCH_PRIOR, response
 
 pytestmark = pytest.mark.slow
 

@@ -12,7 +12,6 @@ from eitskin.errors import DataError
 from eitskin.geometry import SensorDesign
 from eitskin.threads import one_torch_thread
 from eitskin.training import (
-    InputSpec,
     NetworkSettings,
     Observations,
     Targets,
@@ -30,6 +29,7 @@ from eitskin.training.method.settings import JointSettings
 
 from smooth_sensor import (
     FLAT,
+    LAYOUT,
     NOISE,
     PROTOCOL,
     TOUCH_PRIOR,
@@ -39,8 +39,6 @@ from smooth_sensor import (
 )
 
 pytestmark = pytest.mark.slow
-
-LAYOUT = InputSpec(SensorDesign.reference(), PROTOCOL, 40e3, FLAT)
 
 
 def dataset(count=750, specimens=24, seed=0):

@@ -4,31 +4,23 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
+from known_frames import known_by_levels
 
 from eitskin.errors import DataError
-from eitskin.geometry import SensorDesign
 from eitskin.simulator import Frame
-from eitskin.training import FrameLabel, InputSpec, Pipeline, TouchLabel
+from eitskin.training import FrameLabel, Pipeline, TouchLabel
 from eitskin.training.method.interface import Calibration
-from eitskin.training.method.known_frames import KnownFrames
 
-from smooth_sensor import FLAT, PROTOCOL
+from smooth_sensor import FLAT
 
-SPEC = InputSpec(SensorDesign.reference(), PROTOCOL, 40e3, FLAT)
 REST, BENT, UNKNOWN = FrameLabel(), FrameLabel(20.0), FrameLabel(None, ())
 PRESS = (TouchLabel(0.05, 0.03, 8.0),)
 PRESSED = FrameLabel(20.0, PRESS)
 
 
-def known(labels, levels):
-    """Frames whose log V is this much above that of the flat sensor, half a second apart."""
-    frames = [Frame(FLAT * np.exp(z) + 0j, PROTOCOL, 0.5 * i) for i, z in enumerate(levels)]
-    return KnownFrames.from_frames(frames, labels, SPEC)
-
-
 @pytest.mark.slow
 def test_changes_are_from_the_mean_of_flat_frames_which_alone_change_no_estimate():
-    found = known([REST, REST, BENT], [0.001, 0.003, 0.012])
+    found = known_by_levels([REST, REST, BENT], [0.001, 0.003, 0.012])
     seen = found.observations
     np.testing.assert_allclose(seen.flat, np.tile(FLAT * np.exp(0.002), (3, 1)))
     np.testing.assert_allclose(np.log1p(seen.static[2]), 0.010)
@@ -59,7 +51,7 @@ def test_changes_are_from_the_mean_of_flat_frames_which_alone_change_no_estimate
     ],
 )  # fmt: skip
 def test_frames_that_a_touch_is_compared_with(labels, levels, row, change, reference_deg, frames):
-    found = known(labels, levels)
+    found = known_by_levels(labels, levels)
     np.testing.assert_allclose(np.log1p(found.observations.dynamic[row]), change)
     assert found.reference_deg[row] == pytest.approx(reference_deg, nan_ok=True)
     assert found.observations.dynamic_frames[row] == frames
@@ -69,7 +61,7 @@ def test_frames_that_a_touch_is_compared_with(labels, levels, row, change, refer
 
 def test_touches_may_be_a_millimetre_beside_the_sensor():
     touch = TouchLabel(-0.0005, 0.0605, 8.0)
-    table = known([REST, FrameLabel(0.0, (touch,))], [0.0, 0.04]).touches
+    table = known_by_levels([REST, FrameLabel(0.0, (touch,))], [0.0, 0.04]).touches
     assert table[1, 0, :2].tolist() == [touch.x, touch.y]
 
 

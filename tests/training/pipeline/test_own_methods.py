@@ -18,7 +18,6 @@ from eitskin.training import (
     Targets,
     TrainingSettings,
     evaluate,
-    open_pipeline,
 )
 from eitskin.training.pipeline.methods import (
     MethodCodeError,
@@ -76,16 +75,6 @@ def pipeline(dataset):
 @pytest.fixture(scope="module")
 def folder(pipeline, tmp_path_factory):
     return pipeline.save(tmp_path_factory.mktemp("own") / "own.eitmodel")
-
-
-@pytest.mark.slow
-def test_a_saved_pipeline_keeps_name_options_and_arrays(pipeline, folder, dataset):
-    document = json.loads((folder / "pipeline.json").read_text())
-    assert document["method"] == document["settings"]["method"] == Strongest.KIND
-    assert document["settings"]["options"] == {"kept": 30}
-    loaded = open_pipeline(folder, Strongest)
-    assert np.array_equal(loaded.method.known, pipeline.method.known)
-    assert evaluate(loaded, dataset).touches == evaluate(pipeline, dataset).touches
 
 
 def test_code_that_is_not_named_or_is_another_is_refused(folder, monkeypatch):
