@@ -11,7 +11,6 @@ import types
 import typing
 from collections.abc import Callable
 from decimal import Decimal
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -57,24 +56,22 @@ import small_dataset
 ROOMS = ("geometry", "simulator", "datasets", "training", "hardware")
 NUMBERS = (0, -1, 1, 2**31, 2**63, 10**30, 10**400, -(10**400), 0.0, -0.0, 1e300, -1e300, 5e-324)
 ODD = (float("nan"), float("inf"), -float("inf"), 1 + 2j, complex("nan"), True, None, np.float32(1))
-OTHERS = (
-    np.int8(-1),
-    Decimal("1e400"),
-    Fraction(1, 3),
-    "",
-    "a",
-    "\0",
-    "a" * 300,
-    b"a",
-    "-1",
-    "nan",
-)
-OBJECTS = ((), [], {}, {"a": 1}, {1}, [[1], [2, 3]], range(5), ..., Path("a" * 300), "\ud800")
+TEXTS = ("", "a", "\0", "a" * 300, b"a", "-1", "nan", "\ud800", Path("a" * 300))
+OBJECTS = ((), [], {}, {"a": 1}, {1}, [[1], [2, 3]], range(5), ..., Decimal("1e400"), np.int8(-1))
 ARRAYS = (
     *(np.zeros(0), np.array(np.nan), np.zeros((2, 3)), np.full(28, np.nan), np.ones(28) * 1j),
     *(np.array(["a"]), np.array([None]), np.full((3, 28), 1e300), np.arange(28) - 5, np.zeros(28)),
     *(np.ma.masked_equal(np.arange(28), 3), np.ma.ones(28), np.datetime64("2026-01-01")),
 )
+SIMPLE: dict[Any, list[Any]] = {
+    int: [1, 4, 8, 28],
+    float: [0.01, 0.03, 1.0, 40.0],
+    bool: [True, False],
+    complex: [0.1, 1e-3 + 1e-4j],
+    str: ["pairwise:8", "a"],
+    type(None): [None],
+    np.ndarray: [np.full(28, 500 + 1j), np.ones((3, 28)), np.full((1, 3), 0.03), np.ones(8)],
+}
 
 
 @functools.cache
@@ -124,30 +121,28 @@ def sound() -> dict[type, list[Any]]:
 
 
 @functools.cache
-def calls() -> list[tuple[str, Callable[[], Callable[..., Any]]]]:
-    """Name, and how to get, every public function, class and method with parameters."""
+def calls() -> list[tuple[str, Callable[..., Any]]]:
+    """Every public function, class and method with parameters, by its name."""
     found: list[tuple[str, Any]] = []
     for room in ROOMS:
         package = importlib.import_module(f"eitskin.{room}")
         for name in package.__all__:
             public = getattr(package, name)
             if inspect.isfunction(public):
-                found.append((name, lambda public=public: public))
+                found.append((name, public))
             if not inspect.isclass(public) or issubclass(public, BaseException | enum.Enum | float):
                 continue
             if not getattr(public, "_is_protocol", False) and not inspect.isabstract(public):
-                found.append((name, lambda public=public: public))
+                found.append((name, public))
+            owner = sound().get(public, [public])[0]
             for key in dir(public):
                 static = inspect.getattr_static(public, key)
-                if key.startswith("_") or key in ("expanded", "fit"):
-                    continue
-                if isinstance(static, classmethod | staticmethod):
-                    found.append((f"{name}.{key}", functools.partial(getattr, public, key)))
-                elif inspect.isfunction(static) and public in sound():
-                    found.append(
-                        (f"{name}.{key}", lambda p=public, k=key: getattr(sound()[p][0], k))
-                    )
-    return [each for each in found if _parameters(each[1]())]
+                bound = isinstance(static, classmethod | staticmethod) or (
+                    owner is not public and inspect.isfunction(static)
+                )
+                if bound and not key.startswith("_") and key not in ("expanded", "fit"):
+                    found.append((f"{name}.{key}", getattr(owner, key)))
+    return [each for each in found if _parameters(each[1])]
 
 
 def _parameters(call: Any) -> list[inspect.Parameter]:
@@ -159,82 +154,53 @@ def good(kind: Any, name: str, rng: random.Random, folder: Path) -> Any:
     """Value of an annotation, as sound as can be."""
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
     one = functools.partial(good, name=name, rng=rng, folder=folder)
-    simple: dict[Any, Any] = {
-        int: [1, 4, 8, 28],
-        float: [0.01, 0.03, 1.0, 40.0],
-        bool: [True, False],
-    }
-    simple |= {
-        complex: [0.1, 1e-3 + 1e-4j],
-        str: ["pairwise:8", "a"],
-        type(None): [None],
-        Path: [folder],
-    }
-    choices = [*simple.get(kind, ()), *(sound().get(kind, ()) if isinstance(kind, type) else ())]
     if name in ("path", "folder", "out", "file", "folders"):
-        choices = [folder / each for each in ("set", "none", "new")]
-    elif name in ("uri", "text", "form", "rule"):
-        choices = ["virtual:?speed=max&resolution=coarse", "pairwise:8", "csv", "lambda"]
-    elif origin is typing.Literal:
-        choices = list(inner)
-    elif origin is np.ndarray:
-        choices = [np.full(28, 500 + 1j), np.ones((3, 28)), np.full((1, 3), 0.03), np.ones(8)]
-    elif origin in (typing.Union, types.UnionType):
-        choices = [one(rng.choice(inner))]
-    elif origin is tuple and inner[1:] != (...,):
-        choices = [tuple(map(one, inner))]
-    elif origin in (tuple, list) or "Sequence" in str(origin) or "Iterable" in str(origin):
-        choices = [tuple(one(inner[0]) for _ in range(rng.randrange(4)))]
-    return rng.choice(choices or ARRAYS)
+        return folder / rng.choice(("set", "none", "new"))
+    if name in ("uri", "text", "form", "rule"):
+        return rng.choice(("virtual:?speed=max&resolution=coarse", "pairwise:8", "csv", "lambda"))
+    if origin in (typing.Literal, typing.Union, types.UnionType):
+        found = rng.choice(inner)
+        return found if origin is typing.Literal else one(found)
+    if origin is tuple and inner[1:] != (...,):
+        return tuple(map(one, inner))
+    if origin in (tuple, list) or "Sequence" in str(origin) or "Iterable" in str(origin):
+        return tuple(one(inner[0]) for _ in range(rng.randrange(4)))
+    known = origin or kind
+    return rng.choice(SIMPLE.get(known) or sound().get(known) or ARRAYS)
 
 
 def wrong(value: Any, rng: random.Random) -> Any:
     """Another value: extreme, of another type or library, or of another part of the package."""
-    if (
-        isinstance(value, np.ndarray)
-        and value.ndim
-        and value.dtype.kind in "fciu"
-        and rng.random() < 0.5
-    ):
-        changed = np.array(value, dtype=complex if value.dtype.kind == "c" else float)
-        if changed.size:
-            changed.flat[rng.randrange(changed.size)] = rng.choice(
-                [np.nan, np.inf, -1.0, 1e300, 1e40]
-            )
-        return rng.choice([changed, changed.T, changed[..., :-1], changed[None], changed.tolist()])
-    if isinstance(value, tuple) and value and rng.random() < 0.5:
-        items = list(value)
-        items[rng.randrange(len(items))] = wrong(rng.choice(items), rng)
-        return rng.choice([tuple, list])(items)
+    if rng.random() < 0.5:
+        if isinstance(value, np.ndarray) and value.ndim * value.size and value.dtype.kind in "fciu":
+            changed = value * (1.0 if value.dtype.kind != "c" else 1.0 + 0j)
+            changed.flat[rng.randrange(changed.size)] = rng.choice((np.nan, np.inf, -1.0, 1e300))
+            forms = (changed, changed.T, changed[..., :-1], changed[None], changed.tolist())
+            return rng.choice(forms)
+        if isinstance(value, tuple) and value:
+            items = list(value)
+            items[rng.randrange(len(items))] = wrong(rng.choice(items), rng)
+            return rng.choice((tuple, list))(items)
     objects = rng.choice(sound()[rng.choice(list(sound()))])
-    pools = (NUMBERS, ODD, OTHERS, OBJECTS, ARRAYS, foreign(), (objects,))
+    pools = (NUMBERS, ODD, TEXTS, OBJECTS, ARRAYS, foreign(), (objects,))
     return rng.choice(rng.choice(pools))
 
 
 def attack(rng: random.Random, folder: Path) -> None:
     """Call one public name with at least one wrong argument; raises what is no refusal."""
-    name, get = rng.choice(calls())
-    given: dict[str, Any] = {}
-    call = get()
-    parameters = _parameters(call)
-    chosen = rng.choice(parameters)
-    hints = _hints(call)
-    for parameter in parameters:
-        if (
-            parameter.default is not parameter.empty
-            and parameter is not chosen
-            and rng.random() < 0.7
-        ):
+    name, call = rng.choice(calls())
+    parameters, given = _parameters(call), {}
+    chosen, hints = rng.choice(parameters), _hints(call)
+    for each in parameters:
+        optional = each.default is not each.empty and each is not chosen
+        if optional and rng.random() < 0.7:
             continue
-        value = good(hints.get(parameter.name, Any), parameter.name, rng, folder)
-        if parameter is chosen or rng.random() < 0.15:
-            value = wrong(value, rng)
-        given[parameter.name] = value
+        value = good(hints.get(each.name, Any), each.name, rng, folder)
+        is_wrong = each is chosen or rng.random() < 0.15
+        given[each.name] = wrong(value, rng) if is_wrong else value
     try:
-        positional = [
-            given.pop(p.name) for p in parameters if p.kind is p.POSITIONAL_ONLY and p.name in given
-        ]
-        result = call(*positional, **given)
+        names = [p.name for p in parameters if p.kind is p.POSITIONAL_ONLY and p.name in given]
+        result = call(*map(given.pop, names), **given)
         if hasattr(result, "__next__"):
             list(itertools.islice(result, 3))
         if hasattr(result, "close"):

@@ -25,7 +25,16 @@ from eitskin.hardware.ros2 import skin_node
 from eitskin.simulator import Protocol, Status
 from eitskin.training import InputSpec, Zero
 
-from live_fakes import PROTOCOL, Estimate, FakeBoard, FakePipeline, Info, frame, run_command
+from live_fakes import (
+    NOT_ESTIMATED,
+    PROTOCOL,
+    Estimate,
+    FakeBoard,
+    FakePipeline,
+    Info,
+    frame,
+    run_command,
+)
 from on_demand import OnDemand
 
 rosbag2 = OnDemand("rosbags.rosbag2")
@@ -62,7 +71,7 @@ def test_the_command_shows_frames_as_json_and_lines_and_says_what_is_not_estimat
     assert "3 frames processed" in result.stderr
     quiet = run(FakePipeline(), *BOARD, "--frames", "3", "-q")
     assert (quiet.exit_code, quiet.output) == (0, "")
-    unknown = Estimate(None, (np.nan, 0.9, 0.1), None, None, None)
+    unknown = Estimate(**NOT_ESTIMATED, probabilities=(np.nan, 0.9, 0.1))
     pipeline, board = FakePipeline(unknown), ("--board", "virtual:?speed=max", "--frames", "1")
     line = json.loads(run(pipeline, *board, "--json").stdout)
     assert [line[name] for name in ("state", "bend_angle_deg", "touches")] == [None] * 3
@@ -199,7 +208,7 @@ def test_ctrl_c_leaves_a_whole_file_beside_a_whole_recording(run, tmp_path, monk
     monkeypatch.setattr("time.time_ns", lambda: 5_000_000_000)
     path, folder = tmp_path / "run.mcap", tmp_path / "r"
     kept = ("--mcap", str(path), "--record", str(folder))
-    result = run(FakePipeline(interrupt_at=5), *BOARD, *kept)
+    result = run(FakePipeline(errors={4: KeyboardInterrupt()}), *BOARD, *kept)
     assert result.exit_code == 130
     stamps, written = zip(*read(path)["/eitskin/impedance"], strict=True)
     assert stamps[0] == 5_000_000_000

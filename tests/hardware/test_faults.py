@@ -85,21 +85,6 @@ def test_jitter_delays_every_frame_by_less_than_a_period():
     assert np.std(delays[3:]) == pytest.approx(0.2968 / np.sqrt(12), rel=0.01)
 
 
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        ("wrong_baud@0", "an answer to HELLO.*(baud rate|dropped|none came)"),
-        ("wrong_version@0", "another version of the protocol"),
-        ("wrong_count@0", "announced a table of 27"),
-        ("wrong_table@0", "contradicts itself"),
-        ("negative_ack@2", "refused START: busy"),
-    ],
-)
-def test_a_board_that_cannot_be_met_says_why(text, complaint):
-    with pytest.raises(DeviceError, match=complaint):
-        take(faulty(text)[0], 1)
-
-
 @pytest.mark.parametrize("text", ["wrong_baud@6", "wrong_version@6"])
 def test_a_line_that_goes_wrong_gives_nothing_false_and_comes_back_when_mended(text):
     board, port = faulty(text)

@@ -19,20 +19,6 @@ from eitskin.simulator import Frame, Protocol
 
 from live_fakes import FakeBoard, FakePipeline, FakeSimulator, Info, frame
 
-
-class Refusing(FakePipeline):
-    """Pipeline that raises an error for frames of given numbers."""
-
-    def __init__(self, error, refused):
-        super().__init__()
-        self.error, self.refused = error, refused
-
-    def process(self, frame):
-        if frame.number in self.refused:
-            raise self.error
-        return super().process(frame)
-
-
 SINGULAR = np.linalg.LinAlgError("the matrix\nis singular \x1b[31m" + 1000 * "!")
 
 
@@ -47,7 +33,8 @@ SINGULAR = np.linalg.LinAlgError("the matrix\nis singular \x1b[31m" + 1000 * "!"
 )
 def test_frames_that_a_pipeline_refuses_are_counted_and_come_with_the_reason(error, refused, said):
     board = FakeBoard([frame(number) for number in range(4)])
-    readings = list(run_live(board, Refusing(error, refused), newest=False))
+    pipeline = FakePipeline(errors=dict.fromkeys(refused, error))
+    readings = list(run_live(board, pipeline, newest=False))
     assert not board.newest
     count = 0
     for reading in readings:
@@ -69,8 +56,9 @@ def test_every_frame_has_estimate_latency_and_rate_and_another_sensor_ends_the_l
     assert np.isnan(readings[0].rate)
     assert readings[2].rate == pytest.approx(2.0)
     assert board.newest
+    refusing = FakePipeline(errors={0: FrameError("another sensor")})
     with pytest.raises(FrameError, match="another sensor"):
-        list(run_live(FakeBoard([frame(0)]), Refusing(FrameError("another sensor"), {0})))
+        list(run_live(FakeBoard([frame(0)]), refusing))
 
 
 # ---- live readings ----
@@ -168,7 +156,7 @@ def test_errors_of_functions_and_sessions_end_and_are_raised_where_read():
         readings.close()
     readings.close()
     assert called == [0]
-    refusing = Refusing(FrameError("another sensor"), {0})
+    refusing = FakePipeline(errors={0: FrameError("another sensor")})
     with (
         pytest.raises(FrameError, match="another sensor"),
         LiveReadings(silent(frame(0)), refusing) as readings,

@@ -15,8 +15,9 @@ from eitskin.errors import ConfigurationError
 from eitskin.hardware import Reading
 from eitskin.hardware.ros2.messages import GAP, NAME, TOUCH_FIELDS, McapWriter, RosMessages, Stamps
 from eitskin.simulator import Frame, Protocol, Status
-from eitskin.training import Estimate, FoundTouches
+from eitskin.training import TouchEstimate
 
+from live_fakes import NOT_ESTIMATED, Estimate
 from small_dataset import make
 
 UNKNOWN = math.nan
@@ -35,25 +36,6 @@ def rows_of(points):
 
 def a_frame(time=0.0, session=0, number=0):
     return Frame(np.arange(28) + 1j, Protocol.pairwise(8), time, number, session)
-
-
-def an_estimate(**changes):
-    rng = np.random.default_rng(2)
-    found = FoundTouches.from_arrays(
-        [[0.05, 0.02], [0.1, 0.04]], [0.9, 0.7], [9.5, np.nan], [1e-3, 2e-3]
-    )
-    known = {
-        "state": State.TOUCH,
-        "probabilities": np.array([0.01, 0.98, 0.01]),
-        "bend_angle_deg": -12.3456789,
-        "bend_deviation_deg": 0.25,
-        "touch_map": rng.random((32, 80), dtype=np.float32),
-        "touches": tuple(found),
-        "problems": (),
-        "number": 0,
-        "time": 0.0,
-    }
-    return Estimate(**known | changes)
 
 
 def written(path, *readings):
@@ -101,7 +83,17 @@ def test_frames_come_back_to_the_last_bit(tmp_path) -> None:
 
 @pytest.mark.slow
 def test_estimates_come_back_to_the_last_bit(tmp_path) -> None:
-    estimate = an_estimate(problems=("channel 0-1 is left out",))
+    estimate = Estimate(
+        probabilities=(0.01, 0.98, 0.01),
+        bend_angle_deg=-12.3456789,
+        bend_deviation_deg=0.25,
+        touch_map=np.random.default_rng(2).random((32, 80), dtype=np.float32),
+        touches=(
+            TouchEstimate(0.05, 0.02, 9.5, 1e-3, 0.9),
+            TouchEstimate(0.1, 0.04, np.nan, 2e-3, 0.7),
+        ),
+        problems=("channel 0-1 is left out",),
+    )
     path = tmp_path / "run.mcap"
     found = written(path, Reading(a_frame(), estimate, 0.004, 3.3, unusable=2))
     topics = ("/eitskin/bend", "/eitskin/touch_map", "/eitskin/touches", "/tf", "/diagnostics")
@@ -131,9 +123,8 @@ def test_estimates_come_back_to_the_last_bit(tmp_path) -> None:
     assert (values["unusable frames"], values["probability 1"]) == ("2", "0.98")
 
 
-NOTHING = {"bend_angle_deg": None, "bend_deviation_deg": None, "touch_map": None, "touches": None}
 NO_TOUCHES = {"state": State.IDLE, "touches": ()}
-UNKNOWN_STATE = {"state": None, "probabilities": np.full(3, UNKNOWN), **NOTHING}
+UNKNOWN_STATE = NOT_ESTIMATED | {"probabilities": np.full(3, UNKNOWN)}
 
 
 @pytest.mark.slow
@@ -146,7 +137,7 @@ UNKNOWN_STATE = {"state": None, "probabilities": np.full(3, UNKNOWN), **NOTHING}
     ],
 )
 def test_what_is_not_estimated_has_no_topic(changes, problem, status, topics, tmp_path) -> None:
-    estimate = None if changes is None else an_estimate(**changes)
+    estimate = None if changes is None else Estimate(**changes)
     reading = Reading(a_frame(), estimate, 0.0, UNKNOWN, unusable=1, problem=problem)
     found = written(tmp_path / "run.mcap", reading)
     assert set(found) - {"/diagnostics"} == {

@@ -16,15 +16,21 @@ from eitskin.hardware.boards.port import PortInfo, connector, find_port
 from eitskin.hardware.boards.text_board import open_text
 from eitskin.hardware.diagnosis.reading_check import check_frames, check_readings
 from eitskin.hardware.diagnosis.sensor_check import check_sensor
-from eitskin.hardware.protocol.messages import Table
-from eitskin.hardware.protocol.packets import MAX_MEASUREMENTS, MAX_PAYLOAD, Packet, encode
+from eitskin.hardware.protocol.messages import Ack, Event, Table, pack
+from eitskin.hardware.protocol.packets import (
+    MAX_MEASUREMENTS,
+    MAX_PAYLOAD,
+    MessageType,
+    Packet,
+    encode,
+)
 from eitskin.hardware.ros2.messages import McapWriter
 from eitskin.hardware.streams import UdpOutlet, WebSocketOutlet, parse_address
 from eitskin.hardware.virtual.fault_table import read_faults
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
 from eitskin.simulator import Frame, Protocol, Scene
 
-from loopback import PROTOCOL, FakeSimulator
+from loopback import PROTOCOL, FakeSimulator, connected, firmware, take
 
 NODE = "eitskin.hardware.ros2.skin_node"
 BUILT_IN = PortInfo("/dev/ttyS0")
@@ -123,7 +129,45 @@ OTHERS = {
         "one board at a time",
     ),
 }
+ANSWERS = {  # of a board that is asked who it is
+    "INFO of 5 bytes": (encode(Packet(MessageType.INFO, 0, b"hello")), "it sent INFO of 5 bytes"),
+    "bytes of a text": (b"\0RzMag: 600.0 Ohm\0", "bad stuffing.*baud rate"),
+    "lines": (b"530.1, 529.8\r\n", "printed '530.1, 529.8'.*text:"),
+    "unknown status": (
+        encode(pack(Ack(1, MessageType.HELLO, 77), 0)),
+        "status 77; check that its firmware fits",
+    ),
+    "event and status": (
+        encode(pack(Event(2, 1, "check the SPI"), 0))
+        + encode(pack(Ack(1, MessageType.HELLO, 4), 1)),
+        r"refused HELLO: failed \(its firmware says: check the SPI\)$",
+    ),
+}
+FAULTS = {
+    "wrong_baud@0": "an answer to HELLO.*(baud rate|dropped|none came)",
+    "wrong_version@0": "another version of the protocol",
+    "wrong_count@0": "announced a table of 27",
+    "wrong_table@0": "contradicts itself",
+    "negative_ack@2": "refused START: busy",
+}
+
+
+def begin(faults):
+    """Take the first frame of a board with faults."""
+    take(connected(firmware(read_faults(faults)))[0], 1)
+
+
+def meet(answer):
+    """Meet a board with one answer to everything."""
+    board = firmware()
+    board.receive = lambda _: answer
+    connected(board)
+
+
 REFUSALS = [
+    *((name, partial(meet, answer), DeviceError, said) for name, (answer, said) in ANSWERS.items()),
+    *((text, partial(begin, text), DeviceError, said) for text, said in FAULTS.items()),
+    ("electrodes", lambda: connected(firmware(n_electrodes=4)), DeviceError, "table cannot be"),
     *(
         (uri, lambda uri=uri: open_board(uri), ConfigurationError, said)
         for uri, said in URIS.items()

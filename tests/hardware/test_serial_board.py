@@ -13,8 +13,8 @@ from eitskin.geometry import Bend
 from eitskin.hardware import Connection, Script, SerialBoard, Step, open_board
 from eitskin.hardware.boards.board import FIRST_PAUSE, MAX_PAUSE, longest_silence
 from eitskin.hardware.boards.port import ReopenablePort, UnrecoverableError
-from eitskin.hardware.protocol.messages import Ack, Event, pack
-from eitskin.hardware.protocol.packets import FrameData, MessageType, Packet, encode
+from eitskin.hardware.protocol.messages import Ack, pack
+from eitskin.hardware.protocol.packets import FrameData, MessageType, encode
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
 from eitskin.simulator import Scene
 
@@ -94,37 +94,6 @@ def test_a_request_is_repeated_under_the_same_number_and_then_given_up():
     assert 1.5 <= port.now < 1.8
     assert [packet.type for packet in port.heard].count(MessageType.HELLO) == 3
     assert port.closed
-
-
-@pytest.mark.parametrize(
-    ("response", "complaint"),
-    [
-        (encode(Packet(MessageType.INFO, 0, version=3)), "another version of the protocol"),
-        (encode(Packet(MessageType.INFO, 0, b"hello")), "it sent INFO of 5 bytes"),
-        (b"\0RzMag: 600.0 Ohm\0", "bad stuffing.*baud rate"),
-        (b"530.1, 529.8\r\n", "printed '530.1, 529.8'.*text:"),
-        (encode(pack(Ack(1, MessageType.HELLO, 3), 0)), "refused HELLO: busy"),
-        (encode(pack(Ack(1, MessageType.HELLO, 77), 0)), "status 77; check that its firmware fits"),
-        (
-            encode(pack(Event(2, 1, "check the SPI"), 0))
-            + encode(pack(Ack(1, MessageType.HELLO, 4), 1)),
-            r"refused HELLO: failed \(its firmware says: check the SPI\)$",
-        ),
-    ],
-)
-def test_a_board_that_speaks_otherwise_is_told_apart(response, complaint):
-    port = Loopback(firmware())
-    port.firmware.receive = lambda _: response
-    with pytest.raises(DeviceError, match=complaint):
-        SerialBoard(lambda: port, "serial:x", clock=port.clock)
-
-
-@pytest.mark.parametrize(
-    "changes", [{"table_crc32": 1}, {"n_measurements": 27}, {"n_electrodes": 4}]
-)
-def test_a_table_that_contradicts_info_is_an_error(changes):
-    with pytest.raises(DeviceError, match=r"contradicts itself|table cannot be"):
-        connected(firmware(**changes))
 
 
 def test_a_frame_of_another_length_is_dropped_and_an_old_answer_is_none(running):

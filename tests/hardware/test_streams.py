@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.hardware import Connection, Reading, streams
 from eitskin.training import FoundTouches
 
-from live_fakes import Estimate, FakeBoard, frame
+from live_fakes import NOT_ESTIMATED, Estimate, FakeBoard, frame
 
 CLIENTS = Path(__file__).parents[2] / "docs" / "clients"
 DOCS = Path(__file__).parents[2] / "docs"
@@ -189,7 +190,8 @@ def messages():
     tricky = ('an electrode is "open": "state": "bend", {[',)
     found = FoundTouches.from_arrays([[0.05, 0.02], [0.1, 0.03]], [0.9, 0.5], [7.5, np.nan])
     two = Estimate(touches=tuple(found))
-    none = Estimate(None, (np.nan,) * 3, float("nan"), None, None, tricky)
+    none = Estimate(**NOT_ESTIMATED | {"bend_angle_deg": np.nan}, probabilities=3 * (np.nan,))
+    none = replace(none, problems=tricky)
     each = (
         reading(touches=()),
         Reading(frame(4), two, 0.1, 3.0),

@@ -2,7 +2,8 @@
 
 import threading
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,28 +15,34 @@ from eitskin.datasets import State
 from eitskin.errors import DeviceError
 from eitskin.hardware import Counts
 from eitskin.simulator import Frame
-from eitskin.training import Pipeline
+from eitskin.training import Estimate as AnyEstimate
+from eitskin.training import Pipeline, TouchEstimate
 
-from loopback import PROTOCOL, FakeSimulator
+from loopback import PROTOCOL, FakeSimulator, firmware
 
-
-@dataclass
-class Estimate:
-    state: State | str = State.TOUCH
-    probabilities: tuple = (0.1, 0.8, 0.1)
-    bend_angle_deg: float = -12.5
-    touch_map: np.ndarray = field(default_factory=lambda: np.zeros((32, 80)))
-    touches: tuple = ((0.05, 0.02, 0.9),)
-    problems: tuple = ()
+Estimate = partial(
+    AnyEstimate,
+    state=State.TOUCH,
+    probabilities=(0.1, 0.8, 0.1),
+    bend_angle_deg=-12.5,
+    bend_deviation_deg=None,
+    touch_map=np.zeros((32, 80)),
+    touches=(TouchEstimate(0.05, 0.02, strength=0.9),),
+    problems=(),
+    number=0,
+    time=0.0,
+)
+NOT_ESTIMATED = dict.fromkeys(("state", "bend_angle_deg", "touch_map", "touches"))
+Info = partial(replace, firmware().info)
 
 
 class FakePipeline:
-    """Gives one estimate for every frame; may be slow, or be interrupted."""
+    """Gives one estimate for every frame, but raises the `errors` of some, by their order."""
 
     stored_reference, expected_magnitudes, flat_sensors = None, None, "known"
 
-    def __init__(self, estimate=None, interrupt_at=None):
-        self.estimate, self.interrupt_at = estimate or Estimate(), interrupt_at
+    def __init__(self, estimate=None, errors=()):
+        self.estimate, self.errors = estimate or Estimate(), dict(errors)
         self.layout = SimpleNamespace(
             known_design=None, known_protocol=None, require_same_measurements=lambda *_: None
         )
@@ -43,19 +50,12 @@ class FakePipeline:
 
     def process(self, frame):
         self.seen.append(frame.number)
-        if len(self.seen) == self.interrupt_at:
-            raise KeyboardInterrupt
+        if error := self.errors.get(len(self.seen) - 1):
+            raise error
         return self.estimate
 
 
 NOTHING_LOST = Counts()
-
-
-@dataclass(frozen=True)
-class Info:
-    firmware: str = "fake"
-    period: float = 0.3
-    uid: bytes = b""
 
 
 @dataclass
@@ -70,7 +70,7 @@ class FakeBoard:
     failures: int = 0
     uri: str = "fake:"
     stage: object = None
-    info: Info = Info()
+    info: object = Info()
     counts: Counts = NOTHING_LOST
     protocol, lost, tries = PROTOCOL, 0, 0
 

@@ -11,46 +11,31 @@ import numpy as np
 from eitskin.cli.page.commands import ConflictError
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, SensorDesign
-from eitskin.hardware import Counts, Reading
-from eitskin.simulator import Frame, Protocol, Scene, Touch
+from eitskin.hardware import Counts, Reading, Script, Stage, Step
+from eitskin.simulator import Frame, Scene, Touch
 from eitskin.training import TouchEstimate
 
 from live_fakes import Estimate, FakeBoard, Info
+from loopback import PROTOCOL, FakeSimulator
 
-PROTOCOL = Protocol.pairwise(8)
 DESIGN = SensorDesign.reference()
 JSON = {"Content-Type": "application/json"}
 
 
-class FakeStage:
-    """Remembers what it was sent; frame 7 was measured of a bent, touched sensor."""
-
-    def __init__(self):
-        self.scene, self.faults, self.played = Scene(), (), []
-
-    def set(self, scene):
-        if scene.bend.angle_deg == 13.0:
-            raise ConfigurationError("expected a scene, got an unlucky one")
-        self.scene = scene
-
-    def play(self, script):
-        self.played.append(script)
-
-    def truth(self, number):
-        return Scene(Bend(20.0), (Touch(0.05, 0.03),)) if number == 7 else None
-
-    def inject(self, text):
-        if not text.startswith("bit_flip"):
-            raise ConfigurationError(f"no fault {text}")
-        self.faults = (*self.faults, text)
-
-    def clear(self):
-        self.faults = ()
+def solve(scene):
+    """Impedance matrix of a scene, of which one is impossible."""
+    if scene.bend.angle_deg == 13.0:
+        raise ConfigurationError("expected a scene, got an unlucky one")
+    return FakeSimulator().impedance_matrix(scene)
 
 
 def staged_board(**changes):
-    """A board with a stage, that has lost some frames."""
-    known = {"stage": FakeStage(), "uri": "virtual:", "info": Info(period=1 / 30)}
+    """A board with a stage, that has lost some frames; the 7th was of a bent, touched sensor."""
+    stage = Stage(solve, Script((Step(Scene(Bend(20.0), (Touch(0.05, 0.03),))),)))
+    stage.impedance_at_frame(0)
+    stage.record_truth(7)
+    stage.set(Scene())
+    known = {"stage": stage, "uri": "virtual:", "info": Info(period=1 / 30)}
     return FakeBoard(**known | {"counts": Counts(frames=5, lost=2, dropped={"crc": 1})} | changes)
 
 

@@ -6,7 +6,6 @@ import os
 import socket
 import stat
 import threading
-import types
 from contextlib import closing
 from importlib import resources
 from pathlib import Path
@@ -22,7 +21,7 @@ from eitskin.hardware import Reading
 from eitskin.simulator import Frame
 from eitskin.training import TouchEstimate
 
-from live_fakes import Info
+from live_fakes import NOT_ESTIMATED, Estimate, Info
 from page_fakes import DESIGN, PROTOCOL, FakeEstimate, Stream, ask, port_of, post, reading
 
 
@@ -109,10 +108,7 @@ def test_damaged_values_are_null_and_an_estimate_that_cannot_be_shown_is_not_the
     assert frame["estimate"]["touches"][0]["force"] is None
     with pytest.raises(ValueError, match="JSON"):
         event("frame", {"rate": float("nan")})
-    nothing = dict.fromkeys(("state", "bend_angle_deg", "touch_map", "touches", "found"))
-    page.publish(
-        reading(estimate=types.SimpleNamespace(probabilities=[np.nan], problems=(), **nothing))
-    )
+    page.publish(reading(estimate=Estimate(**NOT_ESTIMATED, probabilities=[np.nan])))
     estimate = stream.until("frame")["estimate"]
     assert estimate["probabilities"] == [None]
     assert {estimate[name] for name in ("state", "angle", "deviation", "map", "touches")} == {None}
@@ -191,7 +187,7 @@ def test_silence_is_told(connection) -> None:
         assert not stream.until("frame")["stale"]
         now[0] = 1.5
         connection.problem = "the board went away"
-        connection.board.stage.faults = ("unplug",)
+        connection.board.stage.inject("unplug")
         while not (health := stream.until("health"))["connection"]:
             pass
         assert health["stale"]

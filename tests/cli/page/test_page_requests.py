@@ -128,6 +128,13 @@ def test_what_cannot_be_a_scene_is_refused_in_words(refusing, unchanged, data, m
     assert stage.scene == Scene()
 
 
+def angle_at(stage, frame):
+    """Bend angle in a frame to come [deg]."""
+    stage.impedance_at_frame(frame)
+    stage.record_truth(frame)
+    return stage.truth(frame).bend.angle_deg
+
+
 def test_faults_and_episodes_begin_and_end(page, connection):
     stage = connection.board.stage
     assert post(page, "/fault", {"fault": "bit_flip:12"})[0] == 200
@@ -139,12 +146,10 @@ def test_faults_and_episodes_begin_and_end(page, connection):
     assert post(page, "/fault", {"clear": True})[0] == 200
     assert stage.faults == ()
     assert post(page, "/play", {"play": True})[0] == 200
-    (script,) = stage.played
-    assert script.steps[0].frames == 90  # three seconds
-    assert [step.scene.bend.angle_deg for step in script.steps][:4] == [0.0, -10.0, -10.0, 20.0]
-    stage.scene = Scene(Bend(40.0))
+    frames = (89, 90, 180, 270)  # steps of three seconds
+    assert [angle_at(stage, frame) for frame in frames] == [0.0, -10.0, -10.0, 20.0]
     assert post(page, "/play", {"play": False})[0] == 200
-    assert stage.scene == Scene()
+    assert angle_at(stage, 90) == 0.0
     assert post(page, "/play", {"play": 1})[0] == 400
 
 
