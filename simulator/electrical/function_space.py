@@ -92,10 +92,10 @@ class FunctionSpace:
         grid = skfem.MeshTet(
             np.ascontiguousarray(mesh.points.T), np.ascontiguousarray(mesh.cells.T)
         )
-        basis = skfem.CellBasis(grid, element.element, intorder=1)
+        dofs = skfem.Dofs(grid, element.element)
         self.element: Element = element
-        self.numbers: Indices = basis.element_dofs.T.astype(np.int64)
-        self.unknowns = int(basis.N)
+        self.numbers: Indices = dofs.element_dofs.T.astype(np.int64)
+        self.unknowns = int(dofs.N)
         corners = mesh.points[grid.t.T]
         self._map(corners[:, 0], corners[:, 1:] - corners[:, :1])
 
@@ -117,11 +117,11 @@ class FunctionSpace:
         )
         self.element = element
         degree, i, mode = element.functions.T
-        bases = [skfem.CellBasis(grid, plane, intorder=1) for plane in element.planes]
-        offsets = np.cumsum([0] + [b.N * element.modes(d) for d, b in enumerate(bases)])
+        dofs = [skfem.Dofs(grid, plane) for plane in element.planes]
+        offsets = np.cumsum([0] + [each.N * element.modes(d) for d, each in enumerate(dofs)])
         numbers = np.stack(
             [
-                offsets[d] + bases[d].element_dofs[k] * element.modes(d) + m
+                offsets[d] + dofs[d].element_dofs[k] * element.modes(d) + m
                 for d, k, m in zip(degree, i, mode, strict=True)
             ],
             axis=1,
