@@ -48,6 +48,7 @@ from eitskin.simulator.electrical.sensitivity import Tensors, pixel_gram
 from eitskin.simulator.electrical.stored_mesh import stored_mesh
 from eitskin.simulator.linalg.multifrontal import MultifrontalSolver
 from eitskin.simulator.linalg.sparse_structure import choose_order
+from eitskin.threads import one_thread
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
@@ -160,6 +161,7 @@ class ForwardModel:
         model._begin(body, body.mesh, (order,), None)
         return model
 
+    @one_thread()
     def _begin(
         self,
         design: SensorDesign | MeshBody,
@@ -229,10 +231,11 @@ class ForwardModel:
         self, scene: tuple[Any, Any, Any], frequency: float | None, with_inclusions: bool = True
     ) -> Numbers:
         """Impedance matrix on this mesh [ohm], (electrodes, electrodes)."""
-        sigma = self._conductivity(scene[0], frequency, with_inclusions)
-        _, system = self._system(sigma, *scene[1:])
-        T = self.solver.congruence(system.values, system.coupling)
-        return impedance_matrix(system.admittance, T)
+        with self.solver.threads():
+            sigma = self._conductivity(scene[0], frequency, with_inclusions)
+            _, system = self._system(sigma, *scene[1:])
+            T = self.solver.congruence(system.values, system.coupling)
+            return impedance_matrix(system.admittance, T)
 
     @cached_property
     def _plain(self) -> "ForwardModel":

@@ -216,14 +216,15 @@ class SensorImpedances:
         last = self._last.get((model, tolerance, frequency))
         if last is not None and last[0] == scene:
             return last[1]
-        (layer,) = self._layers_of([scene]) if tolerance == EXACT else self.layers([scene])
-        if layer.is_flat:
-            same = frequency is None
-            return model.flat_impedance if same else model.impedance(frequency=frequency)
-        if frequency is not None:
-            layer = dataclasses.replace(layer, design=layer.design.resolve_frequency(frequency))
-        z = None if layer.shift is None else layer.contact_impedance
-        Z = model.impedance(layer.conductivity, layer.area_ratio, z)
+        with model.solver.threads():
+            (layer,) = self._layers_of([scene]) if tolerance == EXACT else self.layers([scene])
+            if layer.is_flat:
+                same = frequency is None
+                return model.flat_impedance if same else model.impedance(frequency=frequency)
+            if frequency is not None:
+                layer = dataclasses.replace(layer, design=layer.design.resolve_frequency(frequency))
+            z = None if layer.shift is None else layer.contact_impedance
+            Z = model.impedance(layer.conductivity, layer.area_ratio, z)
         if not scene.touches:
             self._last[model, tolerance, frequency] = scene, Z
         return Z

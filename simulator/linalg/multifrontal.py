@@ -8,6 +8,7 @@ of order 1 and 2 within blocks (Bunch and Kaufman 1977).
 """
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -19,11 +20,13 @@ from scipy.sparse import csc_array, csr_array
 
 from eitskin.errors import ConfigurationError
 from eitskin.simulator.linalg.sparse_structure import Block
+from eitskin.threads import one_thread
 
 Numbers = NDArray[Any]  # real or complex
 Indices = NDArray[np.int64]
 Places = slice | Indices
 
+_SHARED = 3000  # rows of a front, from which several threads have enough to do
 _MIN_RUN = 15  # rows, in the mean, of runs that are added one by one
 
 
@@ -119,16 +122,26 @@ class MultifrontalSolver:
 
     def factorise(self, values: Numbers) -> "Factors":
         """Factorise the matrix with these values."""
-        return Factors(self._order, self.fronts, list(self._factors(values)))
+        with self.threads():
+            return Factors(self._order, self.fronts, list(self._factors(values)))
 
     def congruence(self, values: Numbers, B: Numbers) -> Numbers:
         """B^T A^-1 B, (k, k), for the matrix A with these values; no factor is kept."""
         x = np.array(B[self._order], dtype=np.result_type(values, B))
         total: Numbers = np.zeros((B.shape[1], B.shape[1]), dtype=x.dtype)
-        for front, factor in zip(self.fronts, self._factors(values), strict=True):
-            y, scaled = _forward(front, factor, x)
-            total = total + y.T @ scaled
+        with self.threads():
+            for front, factor in zip(self.fronts, self._factors(values), strict=True):
+                y, scaled = _forward(front, factor, x)
+                total = total + y.T @ scaled
         return total
+
+    def threads(self) -> AbstractContextManager[None]:
+        """Context with one thread, but for large fronts.
+
+        Several wait for each other between small products, and on a busy machine most of the time.
+        """
+        rows = max(front.size + front.outer for front in self.fronts)
+        return one_thread() if rows < _SHARED else nullcontext()
 
     def _factors(self, values: Numbers) -> Iterator[_Factor]:
         return _eliminate_fronts(self.fronts, self._sums @ values, not np.iscomplexobj(values))
@@ -270,7 +283,7 @@ def _fronts(blocks: Sequence[Block], ends: Indices, rows: Indices) -> Iterator[F
         row = local[rows[entries]]
         rims = [local[rim] for _, rim in inner if len(rim)]
         lowest = [int(rim[0]) for rim in rims if rim[-1] >= size]
-        first = min([size, *columns[row >= size].tolist(), *lowest])
+        first = min([size, *columns[row >= size][:1].tolist(), *lowest])  # columns rise
         within = tuple((child, tuple(_additions(local[rim], size, first))) for child, rim in inner)
         below = size * size + (columns - first) * outer + row - size
         yield Front(
