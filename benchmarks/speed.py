@@ -5,12 +5,15 @@ four, each with a bend of its own, by reanalysis and one by one, on two processe
 specimens of the recipe `training`, each set up and used for some scenes. Errors are those of the
 presses' signals against the resolution "fine", of other sensors' signals against "standard".
 In the same run: pyEIT, single impedance matrices, and the least time that the operations of a scene
-take; frames per second and memory of making a dataset; the time of a frame in the shipped pipeline.
+take; frames per second and memory of making a dataset; the time of a frame in the shipped pipeline,
+and of the first frame of a process.
 """
 
 import dataclasses
 import itertools
 import multiprocessing
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -368,6 +371,31 @@ def frame_time(name: str, frames: int, seed: int) -> dict[str, float]:
     return {f"pipeline, {name}.median_ms": float(median), f"pipeline, {name}.p99_ms": float(p99)}
 
 
+FRESH_PROCESSES = 10
+_FIRST_FRAME = """
+from time import perf_counter
+begun = perf_counter()
+from eitskin import Scene, SensorDesign, Simulator, Touch
+imported = perf_counter()
+sim = Simulator(SensorDesign.reference())
+meshed = perf_counter()
+sim.measure(Scene(touches=(Touch(0.050, 0.020),)))
+print(imported - begun, meshed - imported, perf_counter() - meshed)
+"""
+
+
+def first_frame(processes: int) -> dict[str, float]:
+    """Time of imports, mesh and first frame of a touch, and of the process: of the fastest [s]."""
+    times = []
+    for _ in range(processes):
+        start = time.perf_counter()
+        printed = subprocess.check_output([sys.executable, "-c", _FIRST_FRAME], text=True)  # noqa: S603
+        times.append((time.perf_counter() - start, *map(float, printed.split())))
+    names = "process_s", "imports_s", "mesh_s", "frame_s"
+    named = zip(names, min(times), strict=True)
+    return {f"first frame of a process.{name}": seconds for name, seconds in named}
+
+
 def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report:
     """Measure everything on two cores.
 
@@ -397,6 +425,8 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
                 figures[f"{name}.times_longer"] = figures[f"{name}.matrix_ms"] / compared
         for name in watch("pipeline", list(LIVE_SCENES)):
             figures |= frame_time(name, frames, seed)
+    for processes in watch("first frame", [2 if quick else FRESH_PROCESSES]):
+        figures |= first_frame(processes)
     for make in watch("datasets", [generation]):
         figures |= make(count, rates[0])
     rows = [dataclasses.asdict(each) for each in rates]
