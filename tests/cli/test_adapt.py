@@ -1,6 +1,5 @@
 """`eitskin adapt`: pipelines of both kinds, errors by frames used, and what is refused."""
 
-import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,14 +8,12 @@ from command_line import printed_json, run
 from touched_dataset import touched_dataset
 from toy_skin import toy_presses
 
-from eitskin.cli.commands.own_sensor.adapt import twin_in_words
 from eitskin.datasets import State, save_dataset
 from eitskin.errors import ConfigurationError
 from eitskin.training import Pipeline, open_pipeline
 from eitskin.training.adaptation.press_fit import LabelledPresses
 from eitskin.training.evaluation import adaptation_curve
 from eitskin.training.evaluation.adaptation_curve import press_curve
-from eitskin.training.method.interface import TwinTrial
 
 pytestmark = pytest.mark.slow
 
@@ -102,11 +99,3 @@ def test_touch_positions_are_learned_where_nothing_was_before(monkeypatch, tmp_p
     with pytest.raises(ConfigurationError, match="--replace"):
         run(*words)
     assert "touch positions from 25 frames" in run(*words, "--replace").stdout
-
-
-def test_the_sentence_tells_whether_the_twin_was_taken():
-    alone, better, worse = TwinTrial(0), TwinTrial(6, 0.15, 0.08), TwinTrial(6, 0.10, 0.12)
-    assert "no known touch" in twin_in_words(dataclasses.asdict(alone))
-    assert "15.0%" in twin_in_words(dataclasses.asdict(better))
-    assert "not taken" not in twin_in_words(dataclasses.asdict(better))
-    assert "not taken" in twin_in_words(dataclasses.asdict(worse))

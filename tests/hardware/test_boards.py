@@ -67,15 +67,13 @@ def offer(monkeypatch, kind):
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda **_group: [entry])
 
 
-@pytest.fixture(params=["virtual", "firmware in C", "replay", "loopback", "installed"])
-def board(request, recording, monkeypatch):
-    offer(monkeypatch, MeasuredBoard)
+@pytest.fixture(params=["virtual", "firmware in C", "replay", "loopback"])
+def board(request, recording):
     opened = {
         "virtual": virtual,
         "firmware in C": served_by_the_firmware,
         "replay": lambda: open_board(f"replay:{recording}"),
         "loopback": lambda: connected(firmware())[0],
-        "installed": lambda: open_board(f"mine:{recording}?gain=2"),
     }
     with opened[request.param]() as board:
         yield board
@@ -139,6 +137,7 @@ def test_a_kind_of_board_enters_by_an_entry_point(recording, monkeypatch):
     offer(monkeypatch, MeasuredBoard)
     with open_board(f"mine:{recording}?gain=2") as board:
         assert (type(board), board.gain) == (MeasuredBoard, 2.0)
+        assert next(board.frames()).session == 7
     offer(monkeypatch, lambda *_: "no board")
     with pytest.raises(ConfigurationError, match=r"must give an eitskin.hardware.Board, got str"):
         open_board("mine:")

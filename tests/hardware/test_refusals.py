@@ -68,6 +68,7 @@ URIS = {
     "virtual:?scene=missing.toml": "missing.toml",
     "virtual:?protocol=adjacent:16": "for 16 electrodes, the sensor has 8",
     "virtual:?instrument=ad": "'ad5940', got 'ad'",
+    "virtual:?seed=-5&resolution=coarse": "seed must be from 0",
 }
 CONFIGURATION = {
     "option before opening": (lambda: open_board("replay:nowhere", sped="max"), "'sped'.*speed"),
@@ -195,6 +196,15 @@ REFUSALS = [
             "--udp must be PORT or HOST:PORT",
         )
         for text in ("", "robot", "robot:x", "70000", "-1")
+    ),
+    *(
+        (
+            f"host {number}",
+            partial(parse_address, "--udp", f"{host}:5"),
+            ConfigurationError,
+            "--udp: expected a name",
+        )
+        for number, host in enumerate(("\u202e", 300 * "a", "..", "x\0", "x y"))
     ),
 ]
 

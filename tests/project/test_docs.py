@@ -39,6 +39,32 @@ USAGE_ERROR = typer.BadParameter.__base__
 COMMENT = re.compile(r"\s+#\s.*$", re.MULTILINE)
 
 
+WORDS = {
+    r"told|tells?|telling": "is reported, shows, estimates, specifies, distinguishes",
+    r"errs?": "has an error of",
+    r"said|felt": "estimate, output",
+    r"anew": "again",
+    r"by (?:itself|themselves)|of itself": "on its own",
+    r"(?:was|were|is|are) at hand|at hand": "available",
+    r"as it comes|that which ships|comes with eitskin|out of the box": "pretrained",
+    r"of (?:one|somebody)'s own": "custom, your",
+    r"knows no|by heart": "does not use, overfits",
+    r"plain twin": "reference implementation",
+    r"rooms|(?-i:hall)": "package, module",
+    r"a fault of eitskin": "a bug in eitskin",
+    r"other hands|judged|judges?": "independent, tested",
+    r"beside": "next to, compared with, besides",
+    r"wanted are|wanted were": "the target is",
+}
+PATTERN = {re.compile(rf"\b(?:{word})\b", re.IGNORECASE): better for word, better in WORDS.items()}
+
+
+def house_words(text):
+    """House words in a text, each with what to write."""
+    found = ((pattern.search(text), better) for pattern, better in PATTERN.items())
+    return [f"{match[0]!r}: write {better}" for match, better in found if match]
+
+
 def prose(page):
     """The page's text without its code."""
     return CODE_SPAN.sub("", FENCE.sub("", page.read_text()))
@@ -116,6 +142,11 @@ class TestPage:
                 except (USAGE_ERROR, AssertionError) as error:
                     pytest.fail(f"{line}: {error}")
 
+    def test_it_has_no_house_words(self, page):
+        """Those that only we know: each has a word that readers know."""
+        text = re.sub("^ {4}.*$", "", prose(page), flags=re.MULTILINE)
+        assert page in RESULTS or not house_words(text)
+
     def test_its_modules_exist(self, page):
         for module in re.findall(r"python -m (eitskin[\w.]+)", page.read_text()):
             assert importlib.util.find_spec(module), module
@@ -154,6 +185,24 @@ def test_pages_are_few_short_on_the_map_with_examples_and_made_from_the_code():
         assert (DOCS / "reference" / name).read_text() == page(), "run `make pages`"
     assert len(paths()) > 35
     assert not [path for path in paths() if len(command_examples(path)) != 2]
+
+
+def helps(command=COMMAND, name="eitskin"):
+    """Texts of the help of a command and of all below it, by name."""
+    yield name, command.help or ""
+    for parameter in command.params:
+        yield f"{name} {parameter.name}", getattr(parameter, "help", "") or ""
+    for member, below in getattr(command, "commands", {}).items():
+        if not below.hidden:
+            yield from helps(below, f"{name} {member}")
+
+
+def test_help_has_no_house_words_and_one_would_be_seen():
+    texts = dict(helps())
+    assert len(texts) > 200
+    assert not {name: words for name, text in texts.items() if (words := house_words(text))}
+    assert house_words("The angle errs by a degree.")
+    assert not house_words("The angle has an error of a degree.")
 
 
 def links(page):

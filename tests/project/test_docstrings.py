@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from project.test_words import house_words
+from project.test_docs import house_words
 
 pytestmark = pytest.mark.slow
 

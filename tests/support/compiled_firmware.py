@@ -127,14 +127,13 @@ class CompiledFirmware:
         afe: the simulated AD5940.
         info: what it said of itself when it booted.
         line: bytes that the UART takes from now on; None for any number.
-        at_once: bytes that the UART takes in one call.
     """
 
     delay, holds_port, plugged_in = 0.0, False, True
 
     def __init__(self, afe, configuration=None):
         self.afe = afe
-        self.line, self.at_once = None, 4096
+        self.line = None
         self._library = library()
         self._config = configuration or config()
         self._memory = c.create_string_buffer(self._library.shim_size())
@@ -224,7 +223,7 @@ class CompiledFirmware:
         return len(taken)
 
     def uart_write(self, _, data, n):
-        n = min(n, self.at_once, n if self.line is None else self.line)
+        n = min(n, 4096 if self.line is None else self.line)
         if self.line is not None:
             self.line -= n
         self._outgoing += c.string_at(data, n)
