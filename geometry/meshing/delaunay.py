@@ -4,8 +4,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
+from scipy.spatial import Delaunay, cKDTree
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.inclusion import Inclusion
@@ -159,7 +159,7 @@ class _Rim:
         rim = self
         while True:
             middle, radius = rim._circles()
-            nearest, _ = scipy.spatial.cKDTree(np.concatenate([rim.positions, inner])).query(middle)
+            nearest, _ = cKDTree(np.concatenate([rim.positions, inner])).query(middle)
             close = nearest < radius * (1.0 - 1e-6)
             if not close.any():
                 return rim
@@ -172,12 +172,12 @@ class _Rim:
         Those beyond the rim split the nearest chord, unless points `beyond` it are wanted.
         """
         middle, radius = self._circles()
-        struck = scipy.spatial.cKDTree(centres).query_ball_point(middle, radius)
+        struck = cKDTree(centres).query_ball_point(middle, radius)
         split = np.array([len(numbers) > 0 for numbers in struck])
         free = np.ones(len(centres), dtype=bool)
         free[[number for numbers in struck for number in numbers]] = False
         lost = free & (not beyond) & ~self.outline.contains(centres - self.origin)
-        split[scipy.spatial.cKDTree(middle).query(centres[lost])[1]] = True
+        split[cKDTree(middle).query(centres[lost])[1]] = True
         return self._split(split), centres[free & ~lost]
 
     def joins_acute_corner(self, triangles: Numbers, edges: Array) -> Flags:
@@ -225,7 +225,7 @@ def _cut_evenly(marks: Array, whole: float) -> Array:
 
 def _inside(outline: PlaneOutline, points: Array) -> Numbers:
     """Delaunay triangles (m, 3) of points (n, 2) within the outline, counter-clockwise."""
-    triangles = scipy.spatial.Delaunay(points / np.ptp(points)).simplices.astype(np.int64)
+    triangles = Delaunay(points / np.ptp(points)).simplices.astype(np.int64)
     corners = points[triangles]
     doubled = _doubled_areas(corners)
     triangles[doubled < 0.0] = triangles[doubled < 0.0][:, ::-1]
@@ -262,9 +262,7 @@ def _independent_circles(centres: Array, radii: Array) -> Numbers:
 
     No chosen centre lies in the circle of a smaller one that is chosen.
     """
-    within = scipy.spatial.cKDTree(centres).query_ball_point(
-        centres, radii * (1.0 - _RELATIVE_TOLERANCE)
-    )
+    within = cKDTree(centres).query_ball_point(centres, radii * (1.0 - _RELATIVE_TOLERANCE))
     chosen = np.zeros(len(radii), dtype=bool)
     for number in np.argsort(-radii, kind="stable"):
         chosen[number] = not chosen[within[number]].any()

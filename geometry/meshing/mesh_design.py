@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.contact_areas import ContactArea, Strip, contact_areas
@@ -50,7 +50,7 @@ def triangulated_mesh(
     strips = [contact for contact in contacts if isinstance(contact, Strip)]
     ends = np.array([end for strip in strips for end in (strip.start, strip.end)])
     rims = [c.edges(np.inf if _full(c) else grading.finest) for c in contacts]
-    edges = scipy.spatial.cKDTree(np.unique(np.concatenate(rims)[:, :2].round(12), axis=0))
+    edges = cKDTree(np.unique(np.concatenate(rims)[:, :2].round(12), axis=0))
 
     def size(points: Array) -> Array:
         distance, _ = edges.query(points)

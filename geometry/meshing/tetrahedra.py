@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
+from scipy.spatial import Delaunay, cKDTree
 
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require
@@ -111,10 +111,10 @@ def _sizing(edges: Array, grading: Grading, points: Array) -> tuple[Array, Numbe
     lattice = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
     # Random offsets avoid the tetrahedra without volume of a regular lattice.
     lattice += 1e-3 * step * np.random.default_rng(0).uniform(-1.0, 1.0, lattice.shape)
-    tree = scipy.spatial.cKDTree(edges)
+    tree = cKDTree(edges)
     far = tree.query(lattice)[0] > _SPACING * grading.finest
     places = np.unique(np.concatenate([edges, lattice[far]]).round(12), axis=0)
-    tetrahedra = scipy.spatial.Delaunay(places).simplices
+    tetrahedra = Delaunay(places).simplices
     solid = np.abs(volumes(places, tetrahedra)) > 1e-12 * step**3
     distance, _ = tree.query(places)
     sizes = np.minimum(grading.coarsest, _AT_EDGES * grading.finest + grading.growth * distance)
@@ -227,13 +227,13 @@ class TriangleSurface:
         for corners, closest in shapes:
             middle = corners.mean(axis=1)
             radius = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1) + reach
-            near = scipy.spatial.cKDTree(points).query_ball_point(middle, radius)
+            near = cKDTree(points).query_ball_point(middle, radius)
             shape = np.repeat(np.arange(len(corners)), [len(n) for n in near])
             number = np.array([number for numbers in near for number in numbers], dtype=np.int64)
             _move(target, points, number, closest(corners[shape], points[number]), reach)
             yield target.copy()
         if len(self.corners):
-            _, corner = scipy.spatial.cKDTree(self.points[self.corners]).query(points)
+            _, corner = cKDTree(self.points[self.corners]).query(points)
             number = np.arange(len(points))
             _move(target, points, number, self.points[self.corners[corner]], reach)
             yield target

@@ -22,11 +22,10 @@ from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture
 from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points
 from eitskin.geometry.design.sensor import Plates, SensorDesign, Support
 from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack, Slab, clamped_lines
-from eitskin.simulator.deformation.field import Field, field_powers
+from eitskin.simulator.deformation.field import CubicSplines, Field, field_powers
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid, cut_weights
 from eitskin.simulator.deformation.solution_store import Arrays, Problem, Report, load_or_solve
 from eitskin.simulator.deformation.solution_table import Axis, SolutionTable
-from eitskin.simulator.deformation.splines import CubicSplines
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.load_stepping import SolidError
 

@@ -32,7 +32,7 @@ from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.design.sensor import Plates, SensorDesign
 from eitskin.simulator.bends import bend_table
 from eitskin.simulator.deformation.contact import BentState, ContactFrame, DentField
-from eitskin.simulator.deformation.field import Field
+from eitskin.simulator.deformation.field import CubicSplines, Field
 from eitskin.simulator.deformation.finite_stack import FiniteStack
 from eitskin.simulator.deformation.indentation_tables import (
     Indentations,
@@ -58,7 +58,6 @@ from eitskin.simulator.deformation.solution_store import (
 )
 from eitskin.simulator.deformation.solution_table import Axis, SolutionTable
 from eitskin.simulator.deformation.solved_correction import Correction
-from eitskin.simulator.deformation.splines import CubicSplines
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.stack_mesh import Fineness
 from eitskin.simulator.scene.indenters import Indenter

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy
 import skfem
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points
@@ -176,8 +176,8 @@ class TetrahedralField(Deformation):
         return float(np.ptp(self.points, axis=0).max())
 
     @cached_property
-    def _middles(self) -> "scipy.spatial.cKDTree":
-        return scipy.spatial.cKDTree(self.points[self.cells].mean(axis=1))
+    def _middles(self) -> cKDTree:
+        return cKDTree(self.points[self.cells].mean(axis=1))
 
     @cached_property
     def _inverse(self) -> Array:

@@ -9,11 +9,11 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.outline import PlaneOutline
-from eitskin.simulator.deformation.splines import PiecewiseCubic, cubic_spline
 from eitskin.simulator.mechanics.box_fields import shape_functions
 from eitskin.simulator.mechanics.face import Face
 from eitskin.simulator.mechanics.layer_stack import Indentation, Stack
@@ -143,8 +143,8 @@ class FieldValues(NamedTuple):
 class _Splines(NamedTuple):
     """Splines over the radius: of the displacement, and of each layer's mean stress."""
 
-    moved: PiecewiseCubic
-    stressed: list[tuple[Array, PiecewiseCubic]]
+    moved: CubicSpline
+    stressed: list[tuple[Array, CubicSpline]]
 
 
 @lru_cache(maxsize=8)
@@ -154,8 +154,8 @@ def _splines(press: Indentation) -> _Splines:
         (heights[np.isfinite(grid[0])], grid[:, np.isfinite(grid[0])]) for grid in press.mean_stress
     ]
     return _Splines(
-        cubic_spline(press.r, press.displacement),
-        [(z, cubic_spline(r, grid)) for z, grid in layers],
+        CubicSpline(press.r, press.displacement, axis=0),
+        [(z, CubicSpline(r, grid, axis=0)) for z, grid in layers],
     )
 
 
@@ -251,7 +251,7 @@ class DentField:
         spline = _splines(self.press).moved
         nodes, (values, slopes) = shape_functions(self.press.z[::2], z)
         rows = np.arange(len(r))[:, None]
-        u, du = spline(r)[rows, nodes], spline.slopes(r)[rows, nodes]
+        u, du = spline(r)[rows, nodes], spline(r, 1)[rows, nodes]
         moved = np.einsum("nac,na->nc", u, values)
         outward, rising = np.einsum("nac,na->nc", du, values), np.einsum("nac,na->nc", u, slopes)
         return moved[:, :1], moved[:, 1:], outward, rising

@@ -8,12 +8,12 @@ from typing import Protocol
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
+from scipy.interpolate import PPoly
 
 from eitskin.compiled import compiled_kernels
 from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points
 from eitskin.simulator.deformation.contact import ContactFrame
 from eitskin.simulator.deformation.field import Field
-from eitskin.simulator.deformation.splines import PiecewiseCubic
 
 Array = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ class TabulatedDent:
     thinning: float
     share: float
     thickness: float
-    profile: PiecewiseCubic
+    profile: PPoly
 
     @property
     def reach(self) -> float:
@@ -79,7 +79,7 @@ class TabulatedDent:
         """
         inside = np.minimum(r, self.reach)
         P = self.height_polynomials(z)
-        c, slopes = self.profile(inside)[..., :2], self.profile.slopes(inside)[..., :2]
+        c, slopes = self.profile(inside)[..., :2], self.profile(inside, 1)[..., :2]
         pairs = ((P, c), (self.derivatives(P), c), (P, slopes))
         parts = [np.einsum("nhm,nmf->nfh", Q, v) for Q, v in pairs]
         return np.concatenate(parts, axis=-2)

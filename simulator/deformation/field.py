@@ -3,21 +3,59 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from types import ModuleType
 from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from numpy.polynomial import chebyshev, legendre
 from numpy.typing import NDArray
-
-from eitskin.simulator.deformation.splines import CubicSplines, sum_splines
+from scipy.interpolate import BSpline, NdBSpline, make_interp_spline
 
 Array = NDArray[np.float64]
 
+_DEGREE = 3
 _UPRIGHT = 4  # polynomials over the height that the kernel takes
 _KNOT_TOLERANCE = 1e-9
 _VALUE = (0, 0)  # orders of derivatives by x and y
+
+
+class CubicSplines:
+    """B-splines of degree 3 that interpolate values at nodes, without a knot at the second node.
+
+    Beyond the nodes they keep their values. Source: de Boor, A Practical Guide to Splines, chapters
+    IX, X and XIII.
+
+    Attributes:
+        nodes: rising, four or more, (n,).
+        knots: positions where the pieces of the splines meet, (n + 4,).
+    """
+
+    def __init__(self, nodes: Array) -> None:
+        """Place the knots."""
+        self.nodes = nodes
+        first, last = np.full(_DEGREE + 1, nodes[0]), np.full(_DEGREE + 1, nodes[-1])
+        self.knots: Array = np.concatenate([first, nodes[2:-2], last])
+
+    @cached_property
+    def fit(self) -> Array:
+        """Coefficients of the splines by the values at the nodes, (n, n)."""
+        return _spline_fit(tuple(self.nodes.tolist()))
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Ends of the interval."""
+        return float(self.nodes[0]), float(self.nodes[-1])
+
+    def dense(self, x: Array) -> Array:
+        """All splines at points (m,), (m, n)."""
+        splines = BSpline(self.knots, np.eye(len(self.nodes)), _DEGREE)
+        return np.asarray(splines(np.clip(x, *self.ends)))
+
+
+@lru_cache(maxsize=64)
+def _spline_fit(nodes: tuple[float, ...]) -> Array:
+    return np.asarray(make_interp_spline(nodes, np.eye(len(nodes)), k=_DEGREE).c)
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,7 +274,9 @@ class Field:
         """Polynomials over the height, or their slopes by x and y, (n, orders, nz, k)."""
         along, across = self.bases
         if isinstance(along, CubicSplines) and isinstance(across, CubicSplines):
-            return sum_splines((along, across), coefficients, x, y, orders)
+            knots, points = (along.knots, across.knots), np.stack([x, y], axis=-1)
+            sums = NdBSpline(knots, np.ascontiguousarray(coefficients), _DEGREE)
+            return np.stack([sums(points, nu=nu) for nu in orders], axis=1)
         if orders != (_VALUE,):
             raise TypeError("only splines have slopes; `NodeSums` makes them of polynomials")
         lines = along.dense(x), across.dense(y)

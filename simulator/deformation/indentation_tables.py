@@ -14,12 +14,11 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import Disc, PlaneOutline, Rectangle
 from eitskin.geometry.design.sensor import Support
 from eitskin.simulator.deformation.contact import DentField
-from eitskin.simulator.deformation.field import Basis, Field, Polynomials
+from eitskin.simulator.deformation.field import Basis, CubicSplines, Field, Polynomials
 from eitskin.simulator.deformation.finite_stack import FiniteStack
 from eitskin.simulator.deformation.solution_store import Report, processes
 from eitskin.simulator.deformation.solution_table import TOLERANCE, Axis, SolutionTable
 from eitskin.simulator.deformation.solved_correction import Correction
-from eitskin.simulator.deformation.splines import CubicSplines
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.fitted_plan import Contact
 from eitskin.simulator.mechanics.layer_stack import Indentation, Mechanics, Stack

@@ -6,9 +6,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.simulator.deformation.field import Basis, Field
+from eitskin.simulator.deformation.field import Basis, CubicSplines, Field
 from eitskin.simulator.deformation.solution_table import SolutionTable, product_in_blocks
-from eitskin.simulator.deformation.splines import CubicSplines
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.floating]

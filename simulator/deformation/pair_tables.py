@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import Rigid
 from eitskin.simulator.deformation.contact import DentField
-from eitskin.simulator.deformation.field import Field, Polynomials
+from eitskin.simulator.deformation.field import CubicSplines, Field, Polynomials
 from eitskin.simulator.deformation.finite_stack import FiniteStack
 from eitskin.simulator.deformation.indentation_tables import (
     Bases,
@@ -25,7 +25,6 @@ from eitskin.simulator.deformation.indentation_tables import (
 from eitskin.simulator.deformation.solution_store import Report
 from eitskin.simulator.deformation.solution_table import Axis, SolutionTable
 from eitskin.simulator.deformation.solved_correction import Correction
-from eitskin.simulator.deformation.splines import CubicSplines
 from eitskin.simulator.mechanics.layer_stack import Indentation
 from eitskin.simulator.mechanics.stack_mesh import Fineness
 

@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline, PPoly
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.deformation.dents import DEGREE, Dents, PlacedDent, TabulatedDent
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid, StackGrid
 from eitskin.simulator.deformation.solution_store import Arrays, Problem, Report, load_or_solve
-from eitskin.simulator.deformation.splines import PiecewiseCubic, cubic_spline
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.layer_stack import Indentation, Mechanics, Stack
 from eitskin.simulator.mechanics.load_stepping import SolidError
@@ -87,8 +87,8 @@ class PressTable:
             )
         if force < self.forces[1]:
             return self._shallow_dent(force / float(self.forces[1]))
-        scaled_depth = _depth_interpolation(self).forces.solve_rising(force)
-        return self._dent(force, scaled_depth)
+        scaled_depth = _depth_interpolation(self).forces.solve(force, extrapolate=False)[0]
+        return self._dent(force, float(scaled_depth))
 
     def dent_from_depth(self, depth: float) -> TabulatedDent:
         """Dent of a press to `depth` [m]; raises ConfigurationError like `dent_from_force`."""
@@ -144,13 +144,13 @@ class PressTable:
             contact_radius=part ** self._power("contact_radii") * first.contact_radius,
             peak_pressure=part ** self._power("peak_pressures") * first.peak_pressure,
             thinning=part * first.thinning,
-            profile=PiecewiseCubic(part * first.profile.c, first.profile.x),
+            profile=PPoly.construct_fast(part * first.profile.c, first.profile.x),
         )
 
     def _dent(self, force: float, scaled_depth: float) -> TabulatedDent:
         table = _depth_interpolation(self)
         radius, pressure, thinning, *_ = table.numbers(scaled_depth).tolist()
-        *_, in_layer, in_all = table.numbers.slopes(scaled_depth).tolist()
+        *_, in_layer, in_all = table.numbers(scaled_depth, 1).tolist()
         u, *others = np.moveaxis(np.tensordot(table.weights(scaled_depth), table.fields, 1), -1, 0)
         size = float(self.knots[-1])
         odd, even = _piecewise(_relative(self.knots, size))
@@ -164,7 +164,7 @@ class PressTable:
             thinning=thinning,
             share=in_layer / in_all,
             thickness=float(self.thickness),
-            profile=PiecewiseCubic(pieces, self.knots),
+            profile=PPoly.construct_fast(pieces, self.knots),
         )
 
 
@@ -179,9 +179,9 @@ class _OverDepth(NamedTuple):
             3).
     """
 
-    forces: PiecewiseCubic
-    numbers: PiecewiseCubic
-    weights: PiecewiseCubic
+    forces: CubicSpline
+    numbers: CubicSpline
+    weights: CubicSpline
     fields: Array
 
 
@@ -191,9 +191,9 @@ def _depth_interpolation(table: PressTable) -> _OverDepth:
     numbers = (table.contact_radii, table.peak_pressures, table.thinnings, *table.energies.T)
     fields = np.concatenate([table.moved, table.stressed[..., None]], axis=-1)
     return _OverDepth(
-        cubic_spline(scaled_depths, table.forces),
-        cubic_spline(scaled_depths, np.stack(numbers, axis=1)),
-        cubic_spline(scaled_depths, np.eye(len(scaled_depths))),
+        CubicSpline(scaled_depths, table.forces),
+        CubicSpline(scaled_depths, np.stack(numbers, axis=1)),
+        CubicSpline(scaled_depths, np.eye(len(scaled_depths))),
         fields,
     )
 
@@ -210,7 +210,9 @@ def _piecewise(knots: tuple[float, ...]) -> tuple[Array, Array]:
     From the highest power; slopes are zero at the last knot, as those of even ones on the axis.
     """
     unit = np.eye(len(knots))
-    odd, even = (cubic_spline(knots, unit, (start, "level")).c for start in ("straight", "level"))
+    odd, even = (
+        CubicSpline(knots, unit, bc_type=(end, "clamped")).c for end in ("natural", "clamped")
+    )
     return odd, even
 
 
@@ -364,7 +366,7 @@ def _interpolate_knots(values: Array, knots: Array, target_knots: Array) -> Arra
 @lru_cache(maxsize=32)
 def _interpolation(knots: tuple[float, ...], target_knots: tuple[float, ...]) -> Array:
     """Matrix from values at knots to those of their spline at other knots."""
-    return cubic_spline(knots, np.eye(len(knots)))(target_knots)
+    return np.asarray(CubicSpline(knots, np.eye(len(knots)))(target_knots))
 
 
 def _knots(radius: float, thickness: float, end: float) -> Array:
@@ -387,7 +389,7 @@ def _layer_coefficients(
     """
     inside = (z > bottom - 1e-9) & (z < top + 1e-9)
     heights = 2.0 * (z[inside] - bottom) / (top - bottom) - 1.0
-    along = cubic_spline(r, values[:, inside])(knots).swapaxes(0, 1)
+    along = CubicSpline(r, values[:, inside])(knots).swapaxes(0, 1)
     degree = min(DEGREE, len(heights) - 1)
     fit = np.zeros((DEGREE + 1, along[0].size))
     fit[: degree + 1] = legendre.legfit(heights, along.reshape(len(heights), -1), degree)

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.simulator.deformation.solution_store import Arrays
-from eitskin.simulator.deformation.splines import PiecewiseCubic, cubic_spline
 from eitskin.simulator.linalg.alike_products import block_rows
 
 Array = NDArray[np.float64]
@@ -182,7 +181,7 @@ def product_in_blocks(rows: NDArray[np.floating], matrix: NDArray[np.floating]) 
 
 def _spline(nodes: Array, x: Array) -> Array:
     """Cubic spline through all solved values."""
-    return _cardinal_splines(tuple(nodes.tolist()))(x)[None]
+    return np.array(_cardinal_splines(tuple(nodes.tolist()))(x))[None]
 
 
 def _vanishing(nodes: Array, x: Array) -> Array:
@@ -259,5 +258,8 @@ INTERPOLATIONS: dict[str, Callable[[Array, Array], Array]] = {
 
 
 @lru_cache(maxsize=64)
-def _cardinal_splines(nodes: tuple[float, ...]) -> PiecewiseCubic:
-    return cubic_spline(nodes, np.eye(len(nodes)))
+def _cardinal_splines(nodes: tuple[float, ...]) -> Callable[[Array], Array]:
+    from scipy.interpolate import CubicSpline
+
+    spline: Callable[[Array], Array] = CubicSpline(nodes, np.eye(len(nodes)))
+    return spline

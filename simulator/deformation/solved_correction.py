@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
+from scipy.spatial import cKDTree
 
 from eitskin.simulator.deformation.solution_store import Arrays
 from eitskin.simulator.mechanics.box_fields import QuadraticField
@@ -32,7 +33,7 @@ class Correction:
     """
 
     displacement: QuadraticField
-    mean_stress: "scipy.interpolate.RegularGridInterpolator"
+    mean_stress: RegularGridInterpolator
     bottom: float
     sunk: Array
     holding: Array
@@ -116,14 +117,12 @@ def on_grid(points: Array, values: Array, lines: Sequence[Array]) -> Array:
     filled[numbers[0], numbers[1]] = True
     if not filled.all():
         plane = np.stack(np.meshgrid(lines[0], lines[1], indexing="ij"), axis=-1)
-        nearest = scipy.spatial.cKDTree(plane[filled]).query(plane[~filled])[1]
+        nearest = cKDTree(plane[filled]).query(plane[~filled])[1]
         grid_values[~filled] = grid_values[filled][nearest]
     return grid_values
 
 
-def gel_interpolator(
-    values: Array, lines: tuple[Array, Array, Array]
-) -> "scipy.interpolate.RegularGridInterpolator":
+def gel_interpolator(values: Array, lines: tuple[Array, Array, Array]) -> RegularGridInterpolator:
     """Interpolator of values on the grid, which are NaN outside the gel."""
     inside_gel = np.isfinite(values)
     axes = [np.flatnonzero(inside_gel.any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
@@ -132,10 +131,6 @@ def gel_interpolator(
     return _interpolator(grid, values[inside])
 
 
-def _interpolator(
-    grid: Sequence[Array], values: Array
-) -> "scipy.interpolate.RegularGridInterpolator":
+def _interpolator(grid: Sequence[Array], values: Array) -> RegularGridInterpolator:
     """Trilinear interpolator that goes on linearly beyond the grid."""
-    return scipy.interpolate.RegularGridInterpolator(
-        tuple(grid), values, bounds_error=False, fill_value=None
-    )
+    return RegularGridInterpolator(tuple(grid), values, bounds_error=False, fill_value=None)

@@ -16,7 +16,7 @@ from eitskin.geometry.design.sensor import Plates, Rigid, SensorDesign, Substrat
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.deformation import indentation_tables as tables
 from eitskin.simulator.deformation import pair_tables
-from eitskin.simulator.deformation.field import Field, Frame
+from eitskin.simulator.deformation.field import CubicSplines, Field, Frame
 from eitskin.simulator.deformation.finite_stack import require_on_stack
 from eitskin.simulator.deformation.indentation_tables import Indentations
 from eitskin.simulator.deformation.node_sums import (
@@ -33,7 +33,6 @@ from eitskin.simulator.deformation.press_table import indenter_samples
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid, StackGrid
 from eitskin.simulator.deformation.solution_store import Arrays, Problem, Report, load_or_solve
 from eitskin.simulator.deformation.solution_table import SolutionTable
-from eitskin.simulator.deformation.splines import CubicSplines
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
 from eitskin.simulator.scene.indenters import Indenter
 

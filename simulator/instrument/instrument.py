@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr, ndtri
 
 from eitskin.bounds import sample_uniform
 from eitskin.config import Location, read_toml, write_toml
@@ -303,8 +303,8 @@ def _truncated_normal(rng: np.random.Generator, deviation: float, limit: float) 
     """One draw of a normal distribution truncated at -+`limit`, by inversion."""
     if not deviation:
         return 0.0
-    tail = scipy.special.ndtr(-limit / deviation)
-    drawn = deviation * scipy.special.ndtri(rng.uniform(tail, 1.0 - tail))
+    tail = ndtr(-limit / deviation)
+    drawn = deviation * ndtri(rng.uniform(tail, 1.0 - tail))
     return float(np.clip(drawn, -limit, limit))
 
 

@@ -5,8 +5,9 @@ from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
+from scipy.interpolate import barycentric_interpolate
+from scipy.spatial.transform import Rotation
 
 from eitskin.simulator.mechanics.load_stepping import (
     MIN_STEP,
@@ -87,9 +88,7 @@ class TurningPlates:
         solve = partial(newton, tolerance=_TOLERANCE, chords=True, contraction=1.0)
         near = sorted(self._solved, key=lambda solved: abs(solved - angle))[:_NEIGHBOURS]
         if len(near) > 1:
-            guess = scipy.interpolate.barycentric_interpolate(
-                near, [self._solved[one] for one in near], angle
-            )
+            guess = barycentric_interpolate(near, [self._solved[one] for one in near], angle)
             if self._solid.admissible(guess):
                 try:
                     return solve(self._terms, guess, self._load(angle))
@@ -122,8 +121,6 @@ class TurningPlates:
         displacement = self._solid.displacement(moved)
         for way, held in self._plates.items():
             X = self._solid.nodes[held]
-            turn = scipy.spatial.transform.Rotation.from_rotvec(
-                [0.0, 0.5 * way * math.radians(angle), 0.0]
-            )
+            turn = Rotation.from_rotvec([0.0, 0.5 * way * math.radians(angle), 0.0])
             displacement[held] = turn.apply(X - self._axis) + self._axis - X
         return moved

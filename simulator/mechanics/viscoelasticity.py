@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
+from scipy.special import exprel
 
 from eitskin.errors import ConfigurationError
 
@@ -149,7 +150,7 @@ def elastic_force_at_depth(
     retardation = 1.0 / times[:, None]
     # (exp(-rate t) - exp(-retardation t)) / (retardation - rate), accurate for close rates too.
     lag = seconds * np.exp(-np.minimum(rates, retardation) * seconds)
-    lag *= scipy.special.exprel(-np.abs(rates - retardation) * seconds)
+    lag *= exprel(-np.abs(rates - retardation) * seconds)
     felt = (1.0 - math.fsum(g)) * -np.expm1(-seconds / times) + (retardation * lag) @ g
     return force * float(j @ (felt * np.exp(-released / times)))
 
@@ -176,7 +177,7 @@ def _find_zero(p: Array, w: Array, k: int) -> tuple[int, float]:
     gap = right_pole - left_pole
     origin, reach = (k + 1, -0.75 * gap) if without_poles(0.5 * gap, k) > 0.0 else (k, 0.75 * gap)
     precision = np.finfo(np.float64)
-    offset = scipy.optimize.brentq(
+    offset = brentq(
         without_poles, 0.0, reach, (origin,), precision.tiny, 4.0 * precision.eps, maxiter=2000
     )
     return origin, float(offset)

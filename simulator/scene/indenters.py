@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from eitskin.bounds import LONGEST, require_length
 from eitskin.errors import ConfigurationError
@@ -405,7 +405,7 @@ class ScannedIndenter(Indenter):
 def _surface_profile(surface: Surface, rough: bool) -> Profile:
     """Mean profile of the hull; raises ConfigurationError where the hull is far from round."""
     points, _ = surface.triangles()
-    hull = scipy.spatial.ConvexHull(points)
+    hull = ConvexHull(points)
     corners = points[hull.vertices]
     low = corners[corners[:, 2] < corners[:, 2].min() + 1e-6 * np.ptp(corners[:, 2])]
     tip = (low.min(axis=0) + low.max(axis=0)) / 2.0

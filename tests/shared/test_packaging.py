@@ -25,15 +25,11 @@ LAZY = {"numba", "starlette", "torch", "uvicorn"}  # in modules imported where t
 OLD = ROOT / "tests" / "data" / "v0.1" / "saved.zip"
 HEAVY = {"torch", "numba", "pyvista", "matplotlib", "serial", "sklearn", "skimage"}
 HEAVY |= {"safetensors", "h5py", "trimesh", "pytetwild", "pyeit"}
-# They take a quarter of a second to load, which a first frame can do without.
-UNUSED = {"pandas", "scipy.interpolate", "scipy.optimize", "scipy.spatial", "scipy.special"}
 # Each after those above it.
 STEPS = {
     "eitskin": "import eitskin",
     "rooms": "import eitskin." + ", eitskin.".join(ROOMS),
     "frames": "import eitskin.simulator; from eitskin.simulator import Frame, Protocol",
-    "touch": "from eitskin import Scene, SensorDesign, Simulator, Touch; "
-    "Simulator(SensorDesign.reference(), 'fast').measure(Scene(touches=(Touch(0.05, 0.02),)))",
     "simulator": "from eitskin.geometry import *; from eitskin.simulator import *",
     "scenes": "Simulator(SensorDesign.reference(), 'fast').measure_all([Scene()])",
     "datasets": "import eitskin.datasets",
@@ -95,7 +91,6 @@ def test_imports_load_only_the_packages_that_they_need() -> None:
     heavy = HEAVY | {"numpy", "scipy", "skfem", "msgspec", "typer"}
     assert not loaded["rooms"] & heavy
     assert loaded["frames"] & {"scipy", "skfem", "numpy"} == {"numpy"}
-    assert not loaded["touch"] & (HEAVY | UNUSED)
     assert not loaded["simulator"] & HEAVY
     assert "torch" not in loaded["scenes"]
     assert not loaded["datasets"] & {"torch", "dask"}

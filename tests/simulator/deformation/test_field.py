@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from eitskin.geometry import Disc
-from eitskin.simulator.deformation.field import Field, Frame, Polynomials
+from eitskin.simulator.deformation.field import CubicSplines, Field, Frame, Polynomials
 from eitskin.simulator.deformation.node_sums import NodeSums, basis_values
 from eitskin.simulator.deformation.solution_table import Axis, SolutionTable
-from eitskin.simulator.deformation.splines import CubicSplines
 from eitskin.simulator.deformation.tabled_corrections import (
     Corrections,
 )

@@ -12,12 +12,11 @@ from eitskin.geometry import Polygon, Rectangle, SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
 from eitskin.simulator.deformation import pressed_sensor
-from eitskin.simulator.deformation.field import Field
+from eitskin.simulator.deformation.field import CubicSplines, Field
 from eitskin.simulator.deformation.node_sums import _resample_splines
 from eitskin.simulator.deformation.pressed_sensor import PressedSensor
 from eitskin.simulator.deformation.solution_store import missing
 from eitskin.simulator.deformation.solution_table import SolutionTable
-from eitskin.simulator.deformation.splines import CubicSplines
 from eitskin.simulator.deformation.tabled_corrections import (
     Corrections,
     correction_problems,
