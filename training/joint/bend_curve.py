@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from eitskin.compiled import implementation
+from eitskin.training.joint.fit_kernels import KERNELS
 from eitskin.training.joint.mirrored_frames import SCALE, MirroredFrames
 from eitskin.training.method.stored_fields import Arrays, StoredField, StoredFields, restored_fields
 
@@ -42,7 +44,8 @@ class BendCurve(StoredFields):
         covariance: covariance of w (R K, R K).
         angle_deg: smallest and largest angle that the curve was learned from [deg].
         coefficients: coefficients of the expected curve, b_k + w_k (M, K); follow from the above.
-        blocks: covariances of w_j and w_k (R^2, K^2); follow as well.
+        blocks: covariances of w_j and w_k, and of w_k and w_j, for all pairs k <= j (R (R + 1) / 2,
+            K^2); follow as well.
     """
 
     mean: Array
@@ -59,7 +62,10 @@ class BendCurve(StoredFields):
         coefficients, (random, channels) = self.mean.copy(), self.effects.shape
         coefficients[:random] += self.effects
         powers = self.covariance.reshape(random, channels, random, channels)
-        blocks = powers.transpose(0, 2, 1, 3).reshape(random**2, channels**2)
+        pairs = np.tril_indices(random)
+        blocks = powers.transpose(0, 2, 1, 3)[pairs]
+        blocks[pairs[0] != pairs[1]] += blocks[pairs[0] != pairs[1]].transpose(0, 2, 1)
+        blocks = blocks.reshape(len(blocks), channels**2)
         object.__setattr__(self, "coefficients", coefficients)
         object.__setattr__(self, "blocks", blocks)
 
@@ -91,20 +97,18 @@ class BendCurve(StoredFields):
 
     def uncertainty(self, angle_deg: float, reference_deg: float = 0.0) -> Array:
         """Covariance (K, K) of B(angle) - B(reference) that w contributes."""
-        u, reference = angle_deg / SCALE, reference_deg / SCALE
-        random, channels = self.effects.shape
-        weights = np.array([u**k - reference**k for k in range(1, random + 1)])
-        covariance: Array = (weights[:, None] * weights).reshape(-1) @ self.blocks
-        return covariance.reshape(channels, channels)
+        kernels, u = implementation(KERNELS), angle_deg / SCALE
+        covariance: Array = kernels.curve_covariance(self.blocks, u, reference_deg / SCALE)
+        return covariance
 
     def uncertainties(self, angle_deg: Array) -> Array:
         """`uncertainty` of B at angles (n,) [deg], (n, K, K); stored for angles that come again."""
         if (key := angle_deg.tobytes()) not in self._spreads:
             random, channels = self.effects.shape
-            weights = _powers(angle_deg[:, None] / SCALE, random)
-            products = (weights[:, :, None] * weights[:, None, :]).reshape(len(weights), -1)
-            spreads = np.asarray(products @ self.blocks).reshape(-1, channels, channels)
-            self._spreads[key] = spreads
+            powers = _powers(angle_deg[:, None] / SCALE, random)
+            one, other = np.tril_indices(random)
+            spreads = (powers[:, one] * powers[:, other]) @ self.blocks
+            self._spreads[key] = spreads.reshape(-1, channels, channels)
         return self._spreads[key]
 
     def condition(self, angle_deg: Array, change: Array, noise: Array) -> "BendCurve":

@@ -21,6 +21,7 @@ Frame: TypeAlias = tuple[Array, Array, Array]
 Point: TypeAlias = tuple[Array, float, Array, Array, Array]
 Spread: TypeAlias = tuple[Array, Array, Array, Array, Array, Array, float]
 
+KERNELS = "eitskin.training.joint.fit_kernels"  # as `implementation` takes it
 ANGLE_PRIOR_STD_DEG = 15.0  # standard deviation of the motion since the reference was taken
 ANGLE_UNIT = 5.0  # deg, the unit step of the angle
 TOUCH_UNITS = np.array([0.010, 0.010, 2.0])  # m, m, N, the unit steps of x, y and force
@@ -45,7 +46,7 @@ FRAME = "Tuple((f8[::1], f8[::1], f8[:,::1]))"
 # Touches (k, 3), angle [deg], rows (1 + n, K): the residual, then the derivative of the model by a
 # unit step of each unknown; changes by each touch (k, K), output of the response network (k, h).
 POINT = "Tuple((f8[:,::1], f8, f8[:,::1], f8[:,::1], f8[:,::1]))"
-# Covariances of noise (K, K) and of the bend curve's random effects (powers^2, K^2), weights of the
+# Covariances of noise (K, K) and of the bend curve's random effects (pairs, K^2), weights of the
 # times of measurements (K, K), derivatives of the last layer by each latent variable (Q, K, h + 1),
 # matrices from measurements and back (K, C), empty where they are the same; mismatch of a response.
 SPREAD = "Tuple((f8[:,::1], f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8))"
@@ -95,10 +96,10 @@ def linearise(touches: Array, angle: float, sensor: Sensor, frame: Frame) -> Poi
 @either("f8[:,::1](f8[:,::1], f8, f8)")
 def curve_covariance(effects: Array, u: float, reference: float) -> Array:
     """Covariance (K, K) of a bend curve's change from one angle to another, in units of `SCALE`."""
-    powers, weights = round(math.sqrt(len(effects))), np.empty(len(effects))
+    weights, p, q = np.empty(len(effects)), 1, 1
     for i in range(len(effects)):
-        p, q = 1 + i // powers, 1 + i % powers
         weights[i] = (u**p - reference**p) * (u**q - reference**q)
+        p, q = (p, q + 1) if q < p else (p + 1, 1)
     size = round(math.sqrt(effects.shape[1]))
     total: Array = np.dot(weights, effects).reshape(size, size)
     return total
@@ -110,7 +111,7 @@ def covariance(at: Point, frame: Frame, spread: Spread) -> Array:
     touches, angle, rows, changes, hidden = at
     noise, effects, lateness, latent_output, forward, back, mismatch = spread
     size, count, moved = len(noise), len(touches), angle - frame[1][1]
-    summed, each = np.zeros(hidden.shape[1] + 1), np.dot(changes, back)
+    summed, each = np.zeros(hidden.shape[1] + 1), np.dot(changes, back) if len(back) else changes
     variance = np.zeros(each.shape[1])
     for t in range(count):
         factor = frame[1][0] * touches[t, 2]
@@ -126,6 +127,8 @@ def covariance(at: Point, frame: Frame, spread: Spread) -> Array:
     for c in range(len(forward)):
         errors[1 + len(latent) + c] = math.sqrt(variance[c]) * forward[c]
     total = noise.copy()
+    for c in range(0 if len(forward) else size):
+        total[c, c] += variance[c]
     if abs(moved) > STILL_DEG:
         total += curve_covariance(effects, angle / SCALE, frame[1][1] / SCALE)
         errors[0] = np.dot(lateness, rows[1]) * (moved / ANGLE_UNIT)
@@ -186,21 +189,29 @@ def _library_whiten(covariance: Array, vectors: Array) -> tuple[Array, float]:
 
 @either("Tuple((f8[:,::1], f8))(f8[:,::1], f8[:,::1])", _library_whiten)
 def whiten(covariance: Array, vectors: Array) -> tuple[Array, float]:
-    """Vectors (m, K) whitened by a covariance (K, K), and half the log of its determinant.
-
-    They are further rows of the Cholesky factor.
-    """
-    size, width = len(covariance), 0.0
-    rows = np.concatenate((covariance, vectors))
-    for i in range(len(rows)):
-        for j in range(min(i + 1, size)):
-            rest = rows[i, j]
+    """Vectors (m, K) whitened by a covariance (K, K), and half the log of its determinant."""
+    lower, white, width = np.linalg.cholesky(covariance), vectors.copy(), 0.0
+    for j in range(len(lower)):
+        width += math.log(lower[j, j])
+        for m in range(len(white)):
+            rest = white[m, j]
             for k in range(j):
-                rest -= rows[i, k] * rows[j, k]
-            rows[i, j] = math.sqrt(rest) if i == j else rest / rows[j, j]
-        if i < size:
-            width += math.log(rows[i, i])
-    return rows[size:].copy(), width
+                rest -= lower[j, k] * white[m, k]
+            white[m, j] = rest / lower[j, j]
+    return white, width
+
+
+@either("f8[::1](f8[::1], f8[:,::1], f8[:,::1], f8[:,:,::1])")
+def log_densities(change: Array, values: Array, noise: Array, spreads: Array) -> Array:
+    """Logarithms (n,) of normal densities of a change (K,), but for a constant.
+
+    Their means are `values` (n, K), their covariances `noise` (K, K) and `spreads` (n, K, K) added.
+    """
+    logs = np.empty(len(values))
+    for n in range(len(values)):
+        white, width = whiten(noise + spreads[n], (change - values[n]).reshape(1, -1))
+        logs[n] = -width - 0.5 * np.sum(white**2)
+    return logs
 
 
 @either(

@@ -203,12 +203,12 @@ class JointMethod(Method):
         last, angle = predictions.touches[0], float(np.nan_to_num(predictions.bend_angle_deg[0]))
         touches = np.column_stack([last.place, last.force if self.forces else last.strength])
         specimen = self._specimen(observations.flat[0])
-        changes = specimen.response.with_derivatives(np.ascontiguousarray(touches), angle)[1:]
+        with kernels():
+            changes = specimen.response.with_derivatives(touches, angle)[1:]
         changes[2] *= touches[:, 2:]
         bends = [angle, angle + FURTHER_DEG] if self.bend_prior.bends else []
-        slopes = np.reshape([specimen.curve.slope(each) for each in bends], (-1, changes.shape[-1]))
-        moved = np.concatenate([changes.reshape(-1, changes.shape[-1]), slopes])
-        return moved @ self.combinations.back
+        slopes = [specimen.curve.slope(each) for each in bends]
+        return np.vstack([*changes, *slopes]) @ self.combinations.back
 
     def _predict(self, frame: Observations) -> Predictions:
         """Predictions for one frame.

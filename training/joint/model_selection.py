@@ -231,9 +231,12 @@ class FrameFit:
 
     def take_touches_out(self, change: CombinedChange) -> CombinedChange:
         """The change less that by the touches, whose errors count as noise."""
-        touches, response = np.ascontiguousarray(self.touches), self.estimate.objective.response
-        by_touches, *slopes = response.with_derivatives(touches, self.angle_deg)
-        further = np.einsum("iak,aij,jal->kl", slopes, self.covariance, slopes, optimize=True)
+        response = self.estimate.objective.response
+        by_touches, *slopes = response.with_derivatives(self.touches, self.angle_deg)
+        slopes_of_each = np.stack(slopes, axis=1)
+        further = np.tensordot(
+            slopes_of_each, self.covariance @ slopes_of_each, axes=([0, 1], [0, 1])
+        )
         rest = change.measured - by_touches.sum(axis=0) @ change.combinations.back
         return replace(change, measured=np.where(change.good, rest, 0.0), further=further)
 
@@ -355,6 +358,8 @@ def fit_plain(
     if not begun:
         return PlainFit(untouched, best_fit, evidence, candidates)
     again, _ = _fit(candidates, untouched, min(begun, key=lambda trial: trial.improbability), fits)
+    if again is best_fit:
+        return PlainFit(untouched, best_fit, evidence, candidates)
     best = min(
         (best_fit, again),
         key=lambda trial: (trial.misfit_sigma > CHI2_HIGH_SIGMA, trial.improbability),

@@ -20,12 +20,11 @@ from scipy.linalg import lapack
 from eitskin.compiled import implementation
 from eitskin.training.joint.bend_curve import BEYOND_DEG, BendCurve
 from eitskin.training.joint.combinations import CombinedChange
-from eitskin.training.joint.fit_kernels import RADIUS, TOUCH_UNITS
+from eitskin.training.joint.fit_kernels import KERNELS, RADIUS, TOUCH_UNITS
 from eitskin.training.joint.touch_response import SpecimenResponse, TouchPrior
 
 Array = NDArray[np.float64]
 
-KERNELS = "eitskin.training.joint.fit_kernels"
 TOUCH_THRESHOLD = 25.0
 """Least decrease of the misfit by a touch. The decrease by a touch that is not there is the largest
 of some fifty chi-square variables of three degrees of freedom, above this once in 1000 frames."""
@@ -118,12 +117,18 @@ class TouchObjective:
         combinations = self.combined.combinations
         latent = np.ascontiguousarray(response.latent_output)
         spread = (self.combined.noise, curve.blocks, combinations.lateness, latent)
+        none = np.zeros((0, 0))
+        ways = (
+            (none, none)
+            if combinations.basis is None
+            else (combinations.forward, combinations.back)
+        )
         for name, value in {
             "reference_bend": bend,
             "kernels": implementation(KERNELS),
             "sensor": (*self.response.stacked, curve.coefficients),
             "frame": (self.combined.change + bend, numbers, prior.box),
-            "spread": (*spread, combinations.forward, combinations.back, response.mismatch),
+            "spread": (*spread, *ways, response.mismatch),
         }.items():
             object.__setattr__(self, name, value)
 
@@ -287,12 +292,17 @@ class MapEstimate:
         return misfit_sigma(*self.whole[1:])
 
     @cached_property
+    def own_whitening(self) -> Array:
+        """Metric of the residual (K, K) at the estimate; that of its start may differ."""
+        return self.objective.whitening(self.at)
+
+    @cached_property
     def improbability(self) -> float:
         """Minus twice the logarithm of the model's posterior density, but for a constant.
 
         Every touch is as improbable as its threshold says.
         """
-        whitening = self.objective.whitening(self.at)
+        whitening = self.own_whitening
         width = 2.0 * float(np.sum(np.log(np.diagonal(whitening))))
         return self.objective.misfit(self.at, whitening) - width + price(len(self.at.touches))
 

@@ -5,6 +5,7 @@ and networks, where there are some. `SpecimenModel.angle` combines them.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -22,8 +23,9 @@ from eitskin.training.joint.channel_faults import (
     PossibleFaults,
 )
 from eitskin.training.joint.combinations import CombinedChange
+from eitskin.training.joint.fit_kernels import KERNELS
 from eitskin.training.joint.networks import AngleNetworks
-from eitskin.training.joint.objective import KERNELS, misfit_sigma, solution, whitening_matrix
+from eitskin.training.joint.objective import misfit_sigma, solution, whitening_matrix
 from eitskin.training.joint.touch_response import SpecimenResponse, TouchResponse
 from eitskin.training.joint.touch_search import TouchCandidates
 
@@ -131,67 +133,78 @@ def angle_standard_error(curve: BendCurve, angle_deg: float, noise: Array) -> fl
     return 1.0 / math.sqrt(information)
 
 
-def grid_log_densities(curve: BendCurve, angles: Array, change: Array, noise: Array) -> Array:
-    """Logarithms of the densities of a change at angles (n,) [deg], but for a constant (n,).
+def grid_log_densities(
+    curve: BendCurve, angles: Array, values: Array, combined: CombinedChange
+) -> Array:
+    """Logarithms of the densities of a frame at angles (n,) [deg], but for a constant (n,).
 
-    Further arguments are those of `estimate_angle`.
+    The curve has the values (n, K) there.
     """
-    size = len(noise)
-    bordered = np.empty((len(angles), size + 1, size + 1))
-    bordered[:, :size, :size] = noise + curve.uncertainties(angles)
-    bordered[:, size, :size] = change - curve.value(angles)
-    bordered[:, size, size] = 1e300  # any number above the misfit
-    # The last row of the Cholesky factor is the whitened residual.
-    factors = np.linalg.cholesky(bordered)
-    widths = np.log(np.diagonal(factors, axis1=1, axis2=2)[:, :size]).sum(axis=1)
-    return np.asarray(-widths - 0.5 * np.sum(factors[:, size, :size] ** 2, axis=1))
+    spreads, kernels = curve.uncertainties(angles), implementation(KERNELS)
+    densities: Array = kernels.log_densities(combined.change, values, combined.noise, spreads)
+    return densities
 
 
 def robust_angle(
-    curve: BendCurve, combined: CombinedChange, possible: PossibleFaults
+    curves: Sequence[BendCurve], combined: CombinedChange, possible: PossibleFaults
 ) -> AngleEstimate:
     """Estimate the angle of one frame, leaving out measurements that contradict the others.
 
     A contact that has changed since the reference was taken shifts the estimate by degrees. Where
     no angle fits the frame, the measurements of the fault that explains most of the residual are
-    left out and the angle is estimated again.
+    left out and the angle is estimated again. Of several curves, the likeliest of those that need
+    the fewest faults counts: all leave out one more at a time, until one of them ends.
     """
-    faults: tuple[ChannelFault, ...] = ()
+    nothing = AngleEstimate(0.0, 0.0, 0.0)
+    tried = [(replace(nothing, usual_curve=n), combined) for n in range(len(curves))]
     while True:
-        estimate, residual, slope = _estimate(curve, combined)
-        if estimate.misfit_sigma >= SUSPICIOUS_SIGMA:  # perhaps at a local minimum
-            angles, _ = curve.grid(GRID)
-            densities = grid_log_densities(curve, angles, combined.change, combined.noise)
-            start = float(angles[densities.argmax()])
-            if abs(start - estimate.angle_deg) > angles[1] - angles[0]:
-                again = _estimate(curve, combined, start)
-                if again[0].log_evidence > estimate.log_evidence:
-                    estimate, residual, slope = again
-        estimate = replace(estimate, faults=faults)
-        if estimate.misfit_sigma < SUSPICIOUS_SIGMA or len(faults) == MAX_FAULTS:
-            return estimate
-        scale = math.sqrt(combined.frames)
-        whitening = whitening_matrix(combined.noise + curve.uncertainty(estimate.angle_deg))
-        fault, gain = possible.likeliest(combined, whitening, scale, residual, slope[:, None])
-        fewer = combined.drop(fault.members)
-        if gain < FAULT_THRESHOLD or fewer.count < len(fewer.good) // 2:
-            return estimate
-        combined, faults = fewer, (*faults, fault)
+        fits = [(*_estimate(curves[one.usual_curve], fewer, one), fewer) for one, fewer in tried]
+        tried = []
+        for estimate, residual, slope, fewer in sorted(fits, key=lambda fit: -fit[0].log_evidence):
+            if estimate.misfit_sigma < SUSPICIOUS_SIGMA or len(estimate.faults) == MAX_FAULTS:
+                return estimate
+            spread = curves[estimate.usual_curve].uncertainty(estimate.angle_deg)
+            whitening, scale = whitening_matrix(fewer.noise + spread), math.sqrt(fewer.frames)
+            fault, gain = possible.likeliest(fewer, whitening, scale, residual, slope[:, None])
+            fewest = fewer.drop(fault.members)
+            if gain < FAULT_THRESHOLD or fewest.count < len(fewest.good) // 2:
+                return estimate
+            tried.append((replace(estimate, faults=(*estimate.faults, fault)), fewest))
 
 
 def _estimate(
-    curve: BendCurve, combined: CombinedChange, start_deg: float | None = None
+    curve: BendCurve, combined: CombinedChange, before: AngleEstimate
 ) -> tuple[AngleEstimate, Array, Array]:
-    """`estimate_angle` with its misfit, and the residual and the curve's slope (K,) whitened."""
-    angle, information, (residual, slope), width = _score_angle(
-        curve, combined.change, combined.noise, start_deg
-    )
-    deviation = 1.0 / math.sqrt(information)
-    residual = np.concatenate([residual, combined.rest / math.sqrt(combined.frames)])
-    misfit = float(residual @ residual)
-    evidence = math.log(deviation) - width - 0.5 * misfit
-    sigma = misfit_sigma(misfit, combined.count - 1)
-    return AngleEstimate(angle, deviation, sigma, (), evidence), residual, slope
+    """`estimate_angle` with its misfit, and the residual and the curve's slope (K,) whitened.
+
+    The curve's number and the faults are those of an estimate before. A fit that may have ended at
+    a local minimum is begun again.
+    """
+
+    def fit(start_deg: float | None) -> tuple[AngleEstimate, Array, Array]:
+        angle, information, (residual, slope), width = _score_angle(
+            curve, combined.change, combined.noise, start_deg
+        )
+        deviation = 1.0 / math.sqrt(information)
+        residual = np.concatenate([residual, combined.rest / math.sqrt(combined.frames)])
+        misfit = float(residual @ residual)
+        fitted = replace(
+            before,
+            angle_deg=angle,
+            deviation_deg=deviation,
+            misfit_sigma=misfit_sigma(misfit, combined.count - 1),
+            log_evidence=math.log(deviation) - width - 0.5 * misfit,
+        )
+        return fitted, residual, slope
+
+    first = fit(None)
+    if first[0].misfit_sigma < SUSPICIOUS_SIGMA:
+        return first
+    angles, values = curve.grid(GRID)
+    start = float(angles[grid_log_densities(curve, angles, values, combined).argmax()])
+    if abs(start - first[0].angle_deg) <= angles[1] - angles[0]:
+        return first
+    return max(first, fit(start), key=lambda fitted: fitted[0].log_evidence)
 
 
 def mixture_moments(
@@ -239,7 +252,7 @@ def posterior_angle(
     angles = np.arange(
         low - BEYOND_DEG, high + BEYOND_DEG + POSTERIOR_STEP_DEG / 2, POSTERIOR_STEP_DEG
     )
-    logs = grid_log_densities(curve, angles, fewer.change, fewer.noise) / excess
+    logs = grid_log_densities(curve, angles, curve.value(angles), fewer) / excess
     logs -= np.maximum(np.maximum(low - angles, angles - high), 0.0) / DECAY_DEG
     share = np.exp(logs - logs.max())
     share /= share.sum()
@@ -343,9 +356,7 @@ class SpecimenModel:
         """
         if not self.usual:
             return self._angle_of_any(combined)
-        each = [robust_angle(curve, combined, self.faults) for curve in self.usual]
-        number = max(range(len(each)), key=lambda n: (-len(each[n].faults), each[n].log_evidence))
-        usual = replace(each[number], usual_curve=number)
+        usual = robust_angle(self.usual, combined, self.faults)
         # Densities of the same measurements are compared; faults have the price of being found.
         fewer = combined.drop(usual.left_out) if usual.faults else combined
         other = self._angle_of_any(fewer)
@@ -359,9 +370,8 @@ class SpecimenModel:
         mean, spread = mixture_moments(by_other, by_usual, doubted)
         deviation = math.hypot(spread, mean - angle)
         likelier = usual if share > 0.5 else other
-        return replace(
-            likelier, angle_deg=angle, deviation_deg=deviation, usual=share, usual_curve=number
-        )
+        by_both = {"angle_deg": angle, "deviation_deg": deviation, "usual": share}
+        return replace(likelier, usual_curve=usual.usual_curve, **by_both)
 
     def _angle_of_any(self, combined: CombinedChange) -> AngleEstimate:
         """Angle by the curve, and by the networks where all measurements are good.
@@ -369,7 +379,7 @@ class SpecimenModel:
         Where the curve leaves out a measurement that the networks take for the bend of some clamp,
         nothing shows which of both is right.
         """
-        estimate = robust_angle(self.curve, combined, self.faults)
+        estimate = robust_angle([self.curve], combined, self.faults)
         if self.networks is None:
             return posterior_angle(self.curve, combined, estimate)
         if not combined.good.all():

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
-from eitskin.training.joint.fit_kernels import TOUCH_UNITS, linearise
+from eitskin.compiled import implementation
+from eitskin.training.joint.fit_kernels import KERNELS, TOUCH_UNITS
 from eitskin.training.method.stored_fields import StoredField, StoredFields
 
 Array = NDArray[np.float64]
@@ -250,7 +251,8 @@ class SpecimenResponse:
         channels, unit = len(self.output), np.array([self.response.unit])
         sensor = (*self.stacked, np.zeros((0, channels)))
         frame = np.zeros(channels), unit, np.zeros((4, 3))
-        _, _, rows, changes, _ = linearise(touches, angle_deg, sensor, frame)
+        kernels, touches = implementation(KERNELS), np.ascontiguousarray(touches)
+        _, _, rows, changes, _ = kernels.linearise(touches, angle_deg, sensor, frame)
         derivatives = rows[2:].reshape(len(touches), 3, channels) / TOUCH_UNITS[:, None]
         return np.concatenate([changes[None], derivatives.transpose(1, 0, 2)])
 

@@ -137,7 +137,7 @@ def pair_starts(
 
 def further_touches(estimate: MapEstimate, candidates: TouchCandidates) -> tuple[Array, Array]:
     """Strength of one more touch at each candidate, and by how much it lowers the misfit (n,)."""
-    whitening = estimate.objective.whitening(estimate.at)
+    whitening = estimate.own_whitening
     shapes = candidates.change @ whitening.T
     # Directions that a change of the angle explains are no evidence of a touch.
     bend = whitening @ estimate.at.rows[1] * (ANGLE_PRIOR_STD_DEG / ANGLE_UNIT)
@@ -249,7 +249,8 @@ def _is_far_enough(
 def prune(estimate: MapEstimate) -> MapEstimate:
     """The converged estimate without touches that the others make superfluous."""
     while len(estimate.at.touches):
-        estimate = levenberg_marquardt(estimate.objective, estimate.at, *FINE)
+        start = estimate.objective, estimate.at
+        estimate = levenberg_marquardt(*start, *FINE, estimate.own_whitening)
         # A touch that is held at the least force would rather be weaker, or not there.
         faint = estimate.at.touches[:, 2] <= estimate.objective.prior.low[2]
         gains = np.where(faint, 0.0, estimate.gains)

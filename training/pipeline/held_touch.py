@@ -244,30 +244,33 @@ class HeldTouch:
         along = self.directions[:, good] * units[:, None]
         information, seen = along @ along.T / self.variance, rows[:, good] @ along.T / self.variance
         frames, profiles = _motions(len(rows))
-        projected, weight = profiles @ seen, np.einsum("pn,pn->p", profiles, profiles)
-        speeds = SPEEDS[:, None, None]
-        evidence, lags = [], []
-        for touch in range(touches):
-            for which in ([touch, touches + touch], [2 * touches + touch]):
-                size, axes = np.linalg.eigh(information[np.ix_(which, which)])
-                given = weight[:, None] * size + speeds**-2
-                mean = (projected[:, which] @ axes) / given
-                chance = np.sum(
-                    mean**2 * given - np.log(given * SPEEDS[:, None, None] ** 2), axis=2
-                )
-                evidence.append(0.5 * chance)
-                lags.append(np.sum(mean**2 + 1.0 / given, axis=2) * profiles[:, -1] ** 2)
-        error = np.trace(np.linalg.inv(information + np.eye(3 * touches) / EXTENT**2))
+        projected = (profiles @ seen).reshape(-1, 3, touches).transpose(2, 0, 1)
+        weight, each = np.einsum("pn,pn->p", profiles, profiles), range(touches)
+        own = information.reshape(3, touches, 3, touches)[:, each, :, each]
+        own[:, 2, :2] = own[:, :2, 2] = 0.0
+        sizes, axes = np.linalg.eigh(own)
+        # Each touch moves (two of its three axes), or its force changes (the third).
+        parts = np.stack([1.0 - axes[:, 2] ** 2, axes[:, 2] ** 2], axis=1)
+        given = weight[:, None] * sizes[:, None] + (SPEEDS**-2.0)[:, None, None, None]
+        mean = (projected @ axes) / given
+        chance = mean**2 * given - np.log(given * (SPEEDS**2)[:, None, None, None])
+        evidence, lags = (
+            np.einsum("stpa,tga->stgp", values, parts)
+            for values in (0.5 * chance, mean**2 + 1.0 / given)
+        )
         shares = np.exp(np.minimum(evidence, 100.0)) * self._moving / (1.0 - self._moving)
-        best, least = 1, error
-        for n in range(2, len(rows) + 1):
-            share = shares[..., frames == n] / (len(SPEEDS) * len(lags) * (n - 1))
-            total = 1.0 + share.sum()
-            lag = np.sum(share * np.array(lags)[..., frames == n], axis=(1, 2)) / total
-            if error / n + lag.sum() < least:
-                best, least, self.lag = n, error / n + lag.sum(), lag[::2]
-        self._moving = min(max(1.0 - 1.0 / total, MOVING), 1.0 - MOVING)
-        return best
+        shares /= 2 * len(SPEEDS) * touches * (frames - 1)
+        lags *= shares * profiles[:, -1] ** 2
+        # Windows of one frame, two, and so on.
+        starts = np.flatnonzero(np.diff(frames, prepend=0))
+        totals = 1.0 + np.add.reduceat(shares.sum(axis=(0, 1, 2)), starts)
+        lag = np.add.reduceat(lags.sum(axis=0), starts, axis=2) / totals
+        lag = np.concatenate([np.zeros((touches, 2, 1)), lag], axis=2)
+        error = np.trace(np.linalg.inv(information + np.eye(3 * touches) / EXTENT**2))
+        best = int(np.argmin(error / np.arange(1, len(rows) + 1) + lag.sum(axis=(0, 1))))
+        self.lag = lag[:, 0, best]
+        self._moving = min(max(1.0 - 1.0 / float(totals[-1]), MOVING), 1.0 - MOVING)
+        return best + 1
 
 
 @lru_cache
