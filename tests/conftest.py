@@ -69,8 +69,11 @@ def pytest_make_collect_report(collector):
 def pytest_collection_modifyitems(items):
     """Files with slow tests first, those with most of them before the others.
 
-    No worker is then left alone with one of them at the end. All workers must have one order.
+    No worker is then left alone with one of them at the end. All workers must have one order; a
+    process without others runs files as they are asked for.
     """
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        return
     slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
     items.sort(key=lambda item: (-slow[item.path], item.path))
 

@@ -17,7 +17,6 @@ import sys
 import tempfile
 import time
 import tomllib
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,7 +35,11 @@ FOLDERS = (".types", "eitskin", *ROOMS, "docs", "tests")
 FILES = ("pyproject.toml", "README.md", "CHANGELOG.md", "Makefile")  # that tests read, too
 PASSED, FAILED, NO_TESTS = 0, 1, 5  # exit codes of pytest; others mean that nothing was tested
 WORDS = {FAILED: "killed", PASSED: "SURVIVED"}
-MAX_SECONDS = 900.0  # for the tests of one mutation; one that makes them hang is noticed
+MAX_SECONDS = 300, 3600  # for one test, and for all of a pass: those that hang have failed
+# Marks of tests that run in turn, and EITSKIN_PLAIN: to compile takes longer than quick tests.
+PASSES = (("not slow", "1"), ("not slow", ""), ("slow", ""))
+SOLVERS = ("geometry", "simulator")  # rooms that solutions of presses depend on
+WRONG = "wrong"  # folder of their solutions
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +72,7 @@ def _listed(what: str, file: str, old: str, new: str, test: str) -> Mutation:
 
 
 def _entries(path: Path, name: str) -> list[dict[str, Any]]:
-    entries: list[dict[str, Any]] = tomllib.loads(path.read_text(encoding="utf-8"))[name]
-    return entries
+    return list(tomllib.loads(path.read_text(encoding="utf-8"))[name])
 
 
 def drawn_mutations(seed: int) -> list[Mutation]:
@@ -105,29 +107,26 @@ def copied(folder: Path) -> Path:
     return folder
 
 
-def tested(tree: Path, tests: Sequence[str]) -> int:
-    """Exit code of pytest for tests of a copied tree, quick ones first; presses are solved anew."""
-    cache = tree / ".kernels"
-    shutil.rmtree(cache, ignore_errors=True)
+def tested(tree: Path, mutation: Mutation) -> int:
+    """Exit code of pytest for the mutation's tests; a changed solver begins without solutions."""
     environment = os.environ | {
-        "EITSKIN_CACHE": str(cache),
+        "EITSKIN_CACHE": str(tree / (WRONG if mutation.file.startswith(SOLVERS) else "solved")),
         "PYTHONPATH": os.pathsep.join([str(tree / ".types"), str(tree / "tests")]),
-        "OMP_NUM_THREADS": "1",
-        "OPENBLAS_NUM_THREADS": "1",
     }
     # -P: the copy's own eitskin/, which has no rooms, must not come before .types.
     command = [sys.executable, "-P", "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
+    command += [f"--timeout={MAX_SECONDS[0]}", *(f"tests/{test}" for test in mutation.tests)]
     codes = []
-    for which in ("not slow", "slow"):
+    for which, plain in PASSES:
         try:
             done = subprocess.run(
-                [*command, "-m", which, *(f"tests/{test}" for test in tests)],
+                [*command, "-m", which],
                 cwd=tree,
-                env=environment,
+                env=environment | {"EITSKIN_PLAIN": plain},
                 capture_output=True,
                 text=True,
                 check=False,
-                timeout=MAX_SECONDS,
+                timeout=MAX_SECONDS[1],
             )
         except subprocess.TimeoutExpired:
             return FAILED
@@ -145,9 +144,10 @@ def broken(tree: Path, mutation: Mutation) -> int:
     sound = path.read_text(encoding="utf-8")
     try:
         _write(path, mutation.text)
-        return tested(tree, mutation.tests)
+        return tested(tree, mutation)
     finally:
         _write(path, sound)
+        shutil.rmtree(tree / WRONG, ignore_errors=True)
 
 
 def _write(path: Path, text: str) -> None:
@@ -169,26 +169,26 @@ def main() -> int:
         for each in (*listed_bugs(), *drawn_mutations(options.seed))
         if any(words in f"{each.file}: {each.what}" for words in options.only)
     ]
+    every = tuple(sorted({test for mutation in mutations for test in mutation.tests}))
+    no_change = Mutation("nothing is wrong", FILES[0], (ROOT / FILES[0]).read_text(), every)
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="mutations-") as temporary:
         trees: Queue[Path] = Queue()
         for number in range(options.jobs):
             trees.put(copied(Path(temporary) / str(number)))
 
-        def tried(mutation: Mutation | None) -> int:
+        def tried(mutation: Mutation) -> int:
             tree = trees.get()
             try:
-                if mutation is None:
-                    return tested(tree, sorted({test for m in mutations for test in m.tests}))
                 code = broken(tree, mutation)
-                word = WORDS.get(code, "NOT TRIED")
-                print(f"{word:9} {mutation.file}: {mutation.what}", flush=True)  # noqa: T201
-                return code
             finally:
                 trees.put(tree)
+            word = WORDS.get(code, "NOT TRIED")
+            print(f"{word:9} {mutation.file}: {mutation.what}", flush=True)  # noqa: T201
+            return code
 
         with ThreadPoolExecutor(options.jobs) as pool:
-            *codes, sound = pool.map(tried, [*mutations, None])
+            *codes, sound = pool.map(tried, [*mutations, no_change])
     killed, seconds = codes.count(FAILED), time.monotonic() - began
     print(f"{killed} of {len(codes)} mutations killed in {seconds:.0f} s")  # noqa: T201
     if sound != PASSED:
