@@ -35,7 +35,7 @@ class MirroredFrames:
             clamp, NaN where unknown, and whether its plates carry the sensor (n, 5).
         combinations: combinations of the measurements; each on its own before `combine`.
         variance: variance of the change, in units of that of one frame.
-        noise: covariance of one frame's change (K, K).
+        noise: covariance of one frame's change (K, K); none before `combine`.
     """
 
     change: Array
@@ -99,7 +99,7 @@ class MirroredFrames:
             np.tile(np.stack(clamps, axis=1).astype(float), (len(images), 1)),
             alone,
             variance,
-            np.diag(variance * alone.noise**2),
+            np.zeros((0, 0)),
         )
 
     def combine(

@@ -17,7 +17,9 @@ from eitskin.simulator import Frame, Protocol
 from eitskin.training import Pipeline, PositionScore, TrainingSettings, open_pipeline
 from eitskin.training.adaptation import sheet
 from eitskin.training.adaptation.channel_maps import (
+    DROPPED_VARIANCE_SHARE,
     ChannelMaps,
+    KernelFeatures,
     PlaceKernel,
     Presses,
 )
@@ -230,6 +232,19 @@ def dense(maps, learned, at):
     covariance = prior - cross @ np.linalg.solve(full, cross.T)
     assert n * len(signal) == len(full)
     return mean.reshape(len(at), -1), covariance, back
+
+
+def test_features_leave_out_no_more_than_they_may_and_no_place_is_in_vain():
+    places = np.random.default_rng(2).uniform(0.0, 0.01, (300, 2))
+    chosen = KernelFeatures.choose(KERNEL, places).chosen
+    assert len(chosen) < 100
+
+    def missing(some):
+        """Share of the variance that features of some places leave out."""
+        across = KERNEL(some, places)
+        return 1.0 - np.mean(np.sum(across * np.linalg.solve(KERNEL(some, some), across), axis=0))
+
+    assert missing(chosen) <= DROPPED_VARIANCE_SHARE < missing(chosen[:-1])
 
 
 @pytest.mark.parametrize("weighted", [False, True])

@@ -1,5 +1,7 @@
 """Bend curves: mixed model, calibration, and estimates of the angle."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from made_up_frames import made_up_frames
@@ -15,9 +17,12 @@ from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.mirrored_frames import SCALE
 from eitskin.training.joint.specimen_model import (
     NORMAL_DEG,
+    RIVAL,
     AngleEstimate,
+    SpecimenModel,
     angle_standard_error,
     estimate_angle,
+    grid_log_densities,
     posterior_angle,
 )
 
@@ -137,6 +142,16 @@ def test_stated_error_is_that_of_many_frames(curve, rng):
         assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.06)
         whole = angle_standard_error(curve, angle, NOISE)
         assert whole == pytest.approx(np.median(said[1::2, 1]), rel=0.0015)
+
+
+def test_a_bend_has_the_mean_density_over_the_angles_learned(curve):
+    """Beyond which, and what does not settle it, faults of a flat sensor do not matter."""
+    limits, angles = [], np.linspace(*RANGE, 7001)
+    faults = SimpleNamespace(alone=lambda *given, **_: limits.append(given[2]))
+    combined = COMBINATIONS.combine(curve.value(20.0) + 3e-4, 1.0, 0.0)
+    SpecimenModel(np.zeros(0), None, curve, faults).angle(combined)
+    logs = grid_log_densities(curve, angles, combined.change, combined.noise)
+    assert limits == [pytest.approx(RIVAL - 2.0 * np.log(np.mean(np.exp(logs))), abs=0.05)]
 
 
 # Learning from many specimens

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_up_frames import made_up_frames
 
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
@@ -95,6 +96,10 @@ def test_combinations_fit_as_all_measurements_leave_out_and_tell_signals_from_no
     change[[2, 30, 31, 77]] = np.nan
     np.testing.assert_allclose(combined.change, FEW.combine(change, 2.0, 0.0).change, atol=1e-12)
     rng = np.random.default_rng(5)
+    none = SpecimenFeatures(np.zeros(COUNT), np.zeros((0, COUNT)))
+    frames = made_up_frames(change[None], np.zeros(1), np.zeros(1, int), np.diag(NOISES**2))
+    expected = FEW.forward.T @ (frames.noise + 1e-6) @ FEW.forward  # and a drift that all share
+    np.testing.assert_allclose(frames.combine(none, FEW, 1e-6).noise, expected, atol=1e-9)
     shapes = MIX[:, :9]
     change = 1e-2 * rng.standard_normal((600, 9)) @ shapes.T
     change += NOISES * rng.standard_normal(change.shape)

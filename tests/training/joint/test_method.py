@@ -206,3 +206,16 @@ def test_known_touches_tell_how_far_to_trust_standard_errors(method):
     again = JointMethod.from_arrays(one.arrays(), LAYOUT)
     assert again.own_error_scale == one.own_error_scale
     assert method.adapt(known_frames(FLAT, 4, np.zeros((1, 28)), [0.0]))[0].own_error_scale == 1.0
+
+
+def test_noise_is_that_of_untouched_frames_at_the_angle_of_their_reference(method):
+    """The mean square without what all measurements share, next to one frame as in training."""
+    rng, angles = np.random.default_rng(6), np.full(5, 25.0)
+    white = rng.standard_normal((5, 28))
+    white -= white.mean(axis=1, keepdims=True)
+    white *= 2.0 * np.sqrt(27.0) / np.linalg.norm(white, axis=1, keepdims=True)
+    bent = method.bend_prior.predict([0.0]).value(angles)
+    known = known_frames(FLAT, 4, bent + NOISE * (white + 3.0), angles, before=bent)
+    adaptation = method.adapt(known)[1]
+    assert adaptation.noise_scale == pytest.approx(np.sqrt((1.0 + 5 * 2.0**2) / 6))
+    assert method.adapt(replace(known, reference_deg=np.zeros(5)))[1].noise_scale == 1.0

@@ -9,7 +9,13 @@ import pytest
 from one_frame import TOUCHES, explained, frame, residual
 
 from eitskin.training.joint.channel_faults import FAULT_PRICE, FAULT_SIZE, possible_faults
-from eitskin.training.joint.fit_kernels import DAMPINGS, trust_step
+from eitskin.training.joint.fit_kernels import (
+    ANGLE_PRIOR_STD_DEG,
+    ANGLE_UNIT,
+    DAMPINGS,
+    TOUCH_UNITS,
+    trust_step,
+)
 from eitskin.training.joint.objective import TouchObjective, Unknowns, levenberg_marquardt
 from eitskin.training.joint.touch_search import (
     MIN_DISTANCE,
@@ -59,7 +65,12 @@ def test_steps_are_the_least_damped_shorter_where_they_fail_and_stay_at_bounds(l
     whole = frame(TOUCHES[3], 20.0, 12.0, np.random.default_rng(1))
     near = np.array([[0.050, 0.030, 6.0], [0.062, 0.036, 11.0], [0.055, 0.020, 8.0]])
     start = whole.linearise(Unknowns(near, -10.0))
-    assert levenberg_marquardt(whole, start, 20, 1e-6, whole.whitening(start)).misfit < 28.0
+    metric = whole.whitening(start)
+    ended, exact = (levenberg_marquardt(whole, start, 20, t, metric) for t in (0.3, 1e-9))
+    assert exact.misfit < 28.0
+    away = [one.touches - exact.unknowns.touches for one in (ended.unknowns, ended.minimum(0.3))]
+    assert np.abs(away[1]).max() < 0.1 * np.abs(away[0]).max()
+    np.testing.assert_array_equal(ended.minimum(0.0).touches, ended.unknowns.touches)
     unit = np.eye(7) + np.diag(np.diag(linear.products[1:, 1:]))
     steps = [
         np.linalg.solve(linear.products[1:, 1:] + d * unit, linear.products[0, 1:])
@@ -81,6 +92,23 @@ def test_steps_are_the_least_damped_shorter_where_they_fail_and_stay_at_bounds(l
 
 
 @pytest.mark.slow
+def test_gradients_are_differences_of_the_misfit_also_of_touches_that_lie_too_close(objective):
+    """And the curvature by the angle is that of residual and prior."""
+    close = np.array([[0.055, 0.030, 7.0], [0.058, 0.026, 9.0]])
+    metric = objective.whitening(objective.linearise(Unknowns(close, 13.0)))
+
+    def at(angle, *touches):
+        unknowns = Unknowns(np.array(touches).reshape(2, 3), angle)
+        return levenberg_marquardt(objective, unknowns, 0, 0.03, metric)
+
+    whole, units = at(13.0, *close.ravel()), np.array([ANGLE_UNIT, *TOUCH_UNITS, *TOUCH_UNITS])
+    for i, step in enumerate(1e-4 * np.diag(units)):
+        ahead, behind = (at(*([13.0, *close.ravel()] + sign * step)).misfit for sign in (1, -1))
+        assert -2.0 * whole.products[0, 1 + i] == pytest.approx((ahead - behind) / 2e-4, rel=0.01)
+    own = whole.products[1, 1] - whole.white[1] @ whole.white[1]
+    assert own == pytest.approx((ANGLE_UNIT / ANGLE_PRIOR_STD_DEG) ** 2)
+
+
 def test_best_pairs_are_those_of_a_loop_over_all(objective, candidates):
     start = Unknowns(np.array([[0.012, 0.048, 3.0]]), 14.0)
     found = levenberg_marquardt(objective, objective.linearise(start), 0, 0.03)
