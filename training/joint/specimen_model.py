@@ -152,8 +152,8 @@ def robust_angle(
 
     A contact that has changed since the reference was taken shifts the estimate by degrees. Where
     no angle fits the frame, the measurements of the fault that explains most of the residual are
-    left out and the angle is estimated again. Of several curves, the likeliest of those that need
-    the fewest faults counts: all leave out one more at a time, until one of them ends.
+    left out and the angle is estimated again. Where there are several curves, all leave out one
+    more fault at a time, until one of them ends; the likeliest of those that end counts.
     """
     nothing = AngleEstimate(0.0, 0.0, 0.0)
     tried = [(replace(nothing, usual_curve=n), combined) for n in range(len(curves))]

@@ -150,7 +150,7 @@ def test_a_bend_has_the_mean_density_over_the_angles_learned(curve):
     faults = SimpleNamespace(alone=lambda *given, **_: limits.append(given[2]))
     combined = COMBINATIONS.combine(curve.value(20.0) + 3e-4, 1.0, 0.0)
     SpecimenModel(np.zeros(0), None, curve, faults).angle(combined)
-    logs = grid_log_densities(curve, angles, combined.change, combined.noise)
+    logs = grid_log_densities(curve, angles, curve.value(angles), combined)
     assert limits == [pytest.approx(RIVAL - 2.0 * np.log(np.mean(np.exp(logs))), abs=0.05)]
 
 
