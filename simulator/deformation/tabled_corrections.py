@@ -309,11 +309,13 @@ class Corrections:
             sums.add(table.modes, amounts, along, across, scenes, turns=turns)
         distance = np.stack([x, outline.length - x])
         far, near = np.nonzero(distance < end.nodes("distance_to_end")[-1])
+        if not len(near):
+            return extra
         pressed = {name: values[near] for name, values in pressed.items()}
         table = sum_of(end, (end,), k, images)
         amounts, more = table.amounts([1.0], height, distance_to_end=distance[far, near], **pressed)
         np.add.at(extra, near, more)
-        if sums and len(near):
+        if sums:
             ends = tables.end_bases(H, outline.width)
             along, across = (basis.dense(at) for basis, at in zip(ends, sums.nodes, strict=True))
             image = np.stack([far, np.zeros_like(far)], axis=1)
@@ -338,6 +340,8 @@ class Corrections:
         distance, foot = np.array([y, there_y, x, there_x]), np.array([x, there_x, there_y, y])
         images = np.array([DIRECT, BOTH_MIRRORED, MIRRORED_Y, MIRRORED_X])
         side, press = np.nonzero((distance < base.nodes("distance_to_side")[-1]) & (distance > 0.0))
+        if not len(press):
+            return extra
         varied, weights = zip(*self.varied, strict=True)
         table = sum_of(base, varied, sums.components if sums else 4)
         pressed = {"distance_to_side": distance[side, press], "depth": depth[press]}

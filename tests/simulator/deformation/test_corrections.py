@@ -80,6 +80,26 @@ def test_mirrored_presses_have_mirrored_corrections_that_end_with_the_depth(ship
     assert np.all(shallow.max(axis=0) < 3e-3 * deep.max(axis=0))
 
 
+def test_presses_far_from_both_ends_do_not_depend_on_the_length():
+    """Nor on whether another press of the scene is near one."""
+    fields = []
+    for length, every in ((0.25, ((0.125,),)), (0.3, ((0.15,), (0.15, 0.29)))):
+        outline = Rectangle(length, WIDTH)
+        table, points = corrections(design_on(outline), MECHANICS, PUNCH), POINTS[:20].copy()
+        points[:, 0] = 0.5 * length + 0.25 * (POINTS[:20, 0] - 0.075)
+        for xs in every:
+            places = np.array([[x, 0.02, DEPTH] for x in xs])
+            sums = tables.rectangle_sums(table.design, len(xs), 4)
+            _, extra = table.evaluate(places, np.arange(len(xs)), sums)
+            field = sums.fields(table.design.thickness, table.scales)[0]
+            fields.append((field.values(points[:, None])[:, 0].T, extra[0]))
+    (here, sunk), *others = fields
+    for there, deeper in others:
+        scale = np.abs(here).max(axis=0)
+        assert there / scale == pytest.approx(here / scale, abs=2e-3)
+        assert deeper == pytest.approx(sunk)
+
+
 @dataclasses.dataclass
 class Bell:
     """Correction that is a bell about a press, whatever the outline."""
