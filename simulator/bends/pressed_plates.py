@@ -22,6 +22,7 @@ from itertools import product
 from typing import cast
 
 import numpy as np
+from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
@@ -68,7 +69,7 @@ Indices = NDArray[np.int64]
 log = logging.getLogger(__name__)
 
 # Version of the tables: raise it whenever they are solved in another way.
-_VERSION = 2
+_VERSION = 3
 ANGLES_DEG = (-20.0, 0.0, 25.0, 50.0)
 _PARTS = (0.3, 0.6, 1.0)  # solved depths over the deepest of a place
 # Deepest dent over the thickness of the stack, on a plate and in the middle between plates, where
@@ -78,19 +79,19 @@ _DEEPEST, _IN_GAP, _BESIDE, _WITHIN = 0.32, 0.08, 0.1, 0.3
 # Solved places over the thickness: from the edge of a plate outwards, between places in the gap,
 # and beyond the least distance from a side.
 _ON_PLATE, _BETWEEN, _FROM_SIDE = (
-    (0.6, 1.3, 2.2, 3.4, 5.0),
-    0.56,
-    (0.0, 0.5, 1.2, 2.1, 3.2, 4.5, 6.5),
+    (0.3, 0.75, 1.25, 1.9, 2.8, 4.0),
+    0.42,
+    (0.0, 0.45, 0.72, 1.0, 1.65, 2.5, 3.5, 5.0, 7.0),
 )
 _MIN_PLACE_OFFSET = 0.4  # least distance of places from the middle over the thickness
-_FINENESS = Fineness(ends=0.0, sides=0.25, layers=1, rims=0.3, growth=1.5)
+_FINENESS = Fineness(ends=0.0, sides=0.25, layers=2, rims=0.3, growth=1.5)
 # Nodes of fields over the thickness: in the gap and up to a distance next to it, and beyond.
-_FINE, _NEAR, _COARSE, _ACROSS, _DEGREE = 0.35, 1.8, 0.65, 19, 2
+_FINE, _NEAR, _COARSE, _ACROSS, _DEGREE = 0.25, 1.8, 0.65, 19, 2
 _TOLERANCE = 1e-3  # singular values, relative to the largest, that the table keeps
 # A sensor over a gap gives way like a spring that its bend stiffens: fields are cubics of the
 # inverse distance from this angle, by which solved angles follow best from the others [deg].
 _SOFTEST_DEG = -100.0
-_MINUTES = 25
+_MINUTES = 110
 _DEPTH_MARGIN = 0.02  # of the deepest dent, by which another may be deeper
 _WORKERS = os.cpu_count() or 1
 
@@ -184,7 +185,24 @@ class PlatesCase:
         places = [(float(x), float(y)) for x in axes[0].nodes for y in axes[1].nodes]
         log.info("solving presses on plates, about %d minutes of one core", _MINUTES)
         solved = solve_each(partial(solve_place, self), report, _WORKERS, places)
-        return tabulate(about, axes, solved, _TOLERANCE, nodes=self.bases()[0].nodes).arrays()
+        x = self.bases()[0].nodes
+        table = tabulate(about, axes, solved, _TOLERANCE, self.strains, nodes=x)
+        return table.arrays(np.float16)
+
+    def strains(self, fields: Array) -> Array:
+        """Displacement gradients (n, m) of fields (n, nx, ny, nz, 4), on which signals depend.
+
+        At the nodes, each times the root of its volume. Displacements themselves are largest in
+        the gap, where the stack sinks without much strain.
+        """
+        bases, height = self.bases(), self.indentations.height
+        levels, parts = legendre.leggauss(fields.shape[3])
+        grid = *(basis.nodes for basis in bases), 0.5 * height * (levels + 1.0)
+        moved = np.stack([Field(bases, height, one).on_grid(*grid)[..., :3] for one in fields])
+        slopes = np.gradient(moved, *grid, axis=(1, 2, 3), edge_order=2)
+        along, across = (np.gradient(nodes) for nodes in grid[:2])
+        roots = np.sqrt(along[:, None, None] * across[:, None] * parts)[..., None]
+        return np.concatenate([(roots * one).reshape(len(fields), -1) for one in slopes], axis=1)
 
 
 def solve_place(case: PlatesCase, place: tuple[float, float]) -> PressFields:

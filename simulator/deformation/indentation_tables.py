@@ -209,11 +209,12 @@ def tabulate(
     axes: Sequence[Axis],
     solutions: Sequence[PressFields],
     tolerance: float = TOLERANCE,
+    measure: Callable[[Array], Array] | None = None,
     **sizes: float | Array,
 ) -> SolutionTable:
     """Table of solutions over axes, the last of which are depths.
 
-    `tolerance` is that of `SolutionTable.from_solutions`.
+    `tolerance` and `measure` are those of `SolutionTable.from_solutions`.
     """
     shape = [axis.weights(axis.nodes[:1]).shape[-1] for axis in axes]
     fields = np.array([each.fields for each in solutions])
@@ -224,6 +225,7 @@ def tabulate(
         {"extra_depth": extra.reshape(shape)},
         {**case.sizes, **sizes},
         tolerance,
+        measure,
     )
 
 

@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 TOLERANCE = 3e-4
 """Singular values, relative to the largest, that a table keeps."""
 _OF_FIELD = 4  # dimensions of the coefficients of one field
+_LEAST = 0.01  # least measure of a solution over the largest, for its weight
 
 
 class Axis(NamedTuple):
@@ -71,34 +72,46 @@ class SolutionTable:
         numbers: Mapping[str, ArrayLike],
         sizes: Mapping[str, ArrayLike],
         tolerance: float = TOLERANCE,
+        measure: Callable[[Array], Array] | None = None,
     ) -> "SolutionTable":
         """Table of coefficients (n1, n2, ..., nx, ny, nz, k) and of numbers (n1, n2, ...).
 
-        Singular values below `tolerance`, relative to the largest, are left out.
+        Singular values below `tolerance`, relative to the largest, are left out: of coefficients
+        over their scales, or of a linear `measure` (n, m) of n fields, each over the root of its
+        norm. Source: Sirovich, Quarterly of Applied Mathematics 45, 561 (1987), "snapshots".
         """
         coefficients = np.asarray(fields)
         solved, shape = coefficients.shape[:-_OF_FIELD], coefficients.shape[-_OF_FIELD:]
         scales = np.sqrt(np.mean(coefficients**2, axis=tuple(range(coefficients.ndim - 1))))
         relative = coefficients / np.where(scales > 0.0, scales, 1.0)
         rows = relative.reshape(math.prod(solved), -1)
-        left_vectors, singular, modes = np.linalg.svd(rows, full_matrices=False)
+        weights = np.ones((len(rows), 1))
+        measured = rows if measure is None else measure(coefficients.reshape(-1, *shape))
+        if measure is not None:
+            norms = np.linalg.norm(measured, axis=1, keepdims=True)
+            weights = np.maximum(norms, _LEAST * norms.max()) ** -0.5
+        left_vectors, singular, _ = np.linalg.svd(weights * measured, full_matrices=False)
         rank = max(1, int(np.count_nonzero(singular > tolerance * singular[0])))
-        amplitudes = (left_vectors[:, :rank] * singular[:rank]).reshape(*solved, rank)
+        amounts = left_vectors[:, :rank] * singular[:rank]
+        modes = amounts.T @ (weights * rows) / singular[:rank, None] ** 2
+        largest = np.abs(modes).max(axis=1)
+        amplitudes = (amounts / weights * largest).reshape(*solved, rank)
+        modes /= largest[:, None]
         return cls(
             tuple(axes),
             amplitudes,
-            modes[:rank].reshape(rank, *shape).astype(np.float32).astype(np.float64),
+            modes.reshape(rank, *shape).astype(np.float32).astype(np.float64),
             scales,
             {name: np.asarray(values) for name, values in numbers.items()},
             {name: np.asarray(value) for name, value in sizes.items()},
         )
 
-    def arrays(self) -> Arrays:
-        """Arrays by name, as they are stored."""
+    def arrays(self, precision: type = np.float32) -> Arrays:
+        """Arrays by name, as they are stored, with the modes in a precision."""
         return {
             **{f"axis {n} {a.name} {a.kind}": a.nodes for n, a in enumerate(self.axes)},
             "amplitudes": self.amplitudes,
-            "modes": self.modes.astype(np.float32),
+            "modes": self.modes.astype(precision),
             "scales": self.scales,
             **{f"number {name}": values for name, values in self.numbers.items()},
             **{f"size {name}": value for name, value in self.sizes.items()},

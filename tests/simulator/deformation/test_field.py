@@ -298,3 +298,24 @@ def test_fields_go_with_the_thickness_of_the_gel_and_add_up(table):
     found = sum(map(disc_values, fields))
     assert found / scale == pytest.approx(expected / scale, abs=1e-6)
     assert deeper == pytest.approx(extra)
+
+
+def test_modes_by_a_measure_hold_what_it_sees_of_small_fields():
+    """Shapes are from a thousandth to 1 on a shift of ten, which has no differences."""
+    rng, places = np.random.default_rng(2), np.linspace(0.0, 1.0, 8)
+    sizes = np.geomspace(1e-3, 1.0, 8)[:, None, None, None, None]
+    shapes = sizes * rng.standard_normal((8, 5, 4, 3, 4)) * np.eye(4)[2]
+    fields = shapes + 10.0 * rng.standard_normal(sizes.shape) * np.eye(4)[2]
+
+    def differences(each):
+        return np.diff(each[..., :3], axis=1).reshape(len(each), -1)
+
+    wanted, lost = differences(shapes), []
+    for measure in (None, differences):
+        axes = [Axis("place", "spline", places)]
+        solved = SolutionTable.from_solutions(axes, fields, {}, {}, 1e-3, measure)
+        stored = SolutionTable.from_arrays(solved.arrays(), np.float64)
+        missing = differences(stored.evaluate(place=places)[0]) - wanted
+        lost.append(np.linalg.norm(missing, axis=1) / np.linalg.norm(wanted, axis=1))
+    assert lost[0].max() > 0.5
+    assert lost[1].max() < 0.02
