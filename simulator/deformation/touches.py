@@ -43,22 +43,19 @@ from eitskin.simulator.scene.scene import AnyIndenter, PressedTouch, Touch, neig
 
 Array = NDArray[np.float64]
 
-# Distances of the axis from the gel's edge and from another touch, below which signals were not
-# compared with other solutions: the tables begin at this edge [m].
+# Least compared distances of the axis from the gel's edge and from another touch [m].
 _MIN_EDGE_DISTANCE, _MIN_TOUCH_SPACING = 0.0035, 0.020
-# Depth over the thickness of the stack, to which presses were compared.
-_MAX_RELATIVE_DEPTH = 0.55
+# Depth and length of the gel over the stack's thickness, to which presses were compared.
+_MAX_RELATIVE_DEPTH, _MAX_RELATIVE_LENGTH = 0.55, 16.0
 # Ratios of cover to gel, in thickness and in shear modulus, and radii of indenters [m] to which
 # presses were compared. On a cover of 0.3 mm they are 5 % off a finer solution.
 _MIN_COVER, _MODULI, _MIN_RADIUS = 1.0 / 3.0, (1.0 / 3.0, 3.0), 0.003
 # Thickness and modulus of a cover over the gel's from which presses are 11 % off a finer solution.
 _MEMBRANE = (0.1, 50.0)
 _ALIKE = 1e-6  # relative difference of values that count as equal
-# Extent over the width of a footprint whose edges cross the mesh: one of 2.7 came 6 % deeper turned
-# by 30 degrees than straight.
+# Extent over the width of a footprint: one of 2.7 came 6 % deeper turned by 30 degrees.
 _MAX_SLENDERNESS = 1.5
-# Distance from a re-entrant corner, over the thickness of the stack, within which sums over sides
-# leave more than 7 %.
+# Distance from a re-entrant corner over the stack's thickness, within which sums leave over 7 %.
 _MIN_CORNER_DISTANCE = 2.0
 # Errors of the signal beyond these distances, with 0.7 % of the mesh of "fast". On a flat sensor 95
 # of 100 are below 3.1 % (32 in `bench world`), by sides of a polygon below 4.6 % of the tables of a
@@ -430,19 +427,20 @@ def pressed_touches(
             thinning = scene.solved.thinning(touch.x, touch.y)
             force *= elastic if touch.depth is not None else 1.0
             pressure = peak * force / elastic
-        pressed = PressedTouch(
-            touch=touch,
-            force=force,
-            depth=depth,
-            contact_radius=radius if force > 0.0 else 0.0,  # a dent, but no contact
-            peak_pressure=pressure,
-            thinning=thinning,
-            edge_distance=edge,
-            neighbour_distance=neighbour,
-            signal_error=None if cautions else error,
-            caution="; ".join(cautions),
+        all_pressed.append(
+            PressedTouch(
+                touch=touch,
+                force=force,
+                depth=depth,
+                contact_radius=radius if force > 0.0 else 0.0,  # a dent, but no contact
+                peak_pressure=pressure,
+                thinning=thinning,
+                edge_distance=edge,
+                neighbour_distance=neighbour,
+                signal_error=None if cautions else error,
+                caution="; ".join(cautions),
+            )
         )
-        all_pressed.append(pressed)
     return tuple(all_pressed)
 
 
@@ -450,8 +448,10 @@ def _cautions(
     touch: Touch, edge: float, neighbour: float, depth: float, design: SensorDesign
 ) -> list[str]:
     """Reasons why the error of such a touch was not measured."""
-    reasons = []
-    outline, thickness = design.outline, design.encapsulated_thickness
+    outline, thickness, reasons = design.outline, design.encapsulated_thickness, list[str]()
+    length = max(outline.length, outline.width) / thickness
+    if length > _MAX_RELATIVE_LENGTH:
+        reasons.append(f"a sensor {length:.3g} times as long as thick, longer than was measured")
     if not isinstance(outline, Rectangle | Polygon):
         reasons.append("on this outline the error was not measured")
     elif corner_distance(outline, touch.x, touch.y, math.pi) < _MIN_CORNER_DISTANCE * thickness:

@@ -113,18 +113,24 @@ def test_an_indenter_that_sinks_with_its_stack_reaches_its_depth(giving_way) -> 
 
 
 @pytest.mark.parametrize(
-    ("places", "error", "words"),
+    ("length", "places", "error", "words"),
     [
-        ([(X, 0.0036)], 0.08, ""),
-        ([(X, 0.0050)], 0.04, ""),
-        ([(0.0055, 0.0055)], 0.08, ""),
-        ([(X, Y), (X + 0.018, Y)], None, "18.0 mm from another"),
-        ([(X, Y), (X + 0.021, Y)], 0.04, ""),
+        (0.15, [(X, 0.0036)], 0.08, ""),
+        (0.15, [(X, 0.0050)], 0.04, ""),
+        (0.15, [(0.0055, 0.0055)], 0.08, ""),
+        (0.15, [(X, Y), (X + 0.018, Y)], None, "18.0 mm from another"),
+        (0.15, [(X, Y), (X + 0.021, Y)], 0.04, ""),
+        (0.19, [(X, Y)], 0.04, ""),
+        (0.20, [(X, Y)], None, "16.7 times as long"),
     ],
 )
-def test_errors_of_the_signal_are_those_found_at_such_distances(places, error, words) -> None:
+def test_errors_of_the_signal_are_those_found_at_such_distances(
+    length, places, error, words
+) -> None:
+    outline = Rectangle(length, 0.06)
+    design = dataclasses.replace(DESIGN, outline=outline, electrodes=uniform(outline, 8))
     touches = tuple(Touch(*place, 5.0) for place in places)
-    for found in pressed_touches(touches, PressedSensor(DESIGN, Mechanics())):
+    for found in pressed_touches(touches, PressedSensor(design, Mechanics())):
         assert found.signal_error == error
         assert words in found.caution
         apart = math.dist(*places) if len(places) > 1 else math.inf
