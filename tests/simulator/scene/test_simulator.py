@@ -132,5 +132,5 @@ def test_presses_on_the_plates_of_the_reference_ship():
     under = np.array([0.012, 0.030, 0.005])
     both = sim.deformation(scene).positions(under) - sim.deformation(bare).positions(under)
     flat = sim.deformation(pressed).positions(under) - under
-    assert np.linalg.norm(both) == pytest.approx(np.linalg.norm(flat), rel=5e-4)
+    assert np.linalg.norm(both) == pytest.approx(np.linalg.norm(flat), rel=2e-3)
     assert np.degrees(np.arctan2(both[0], -both[2])) == pytest.approx(15.0, abs=2.0)
