@@ -10,8 +10,13 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import Deformation
-from eitskin.geometry.design.outline import Polygon, Rectangle
-from eitskin.geometry.design.sensor import Plates, SensorDesign
+from eitskin.geometry.design.sensor import Plates
+from eitskin.simulator.deformation.compared_presses import (
+    NOT_VALIDATED_AFTER_BEND,
+    find_cautions,
+    require_compared,
+    signal_error,
+)
 from eitskin.simulator.deformation.contact import ContactFrame
 from eitskin.simulator.deformation.dents import (
     BentPresses,
@@ -23,7 +28,6 @@ from eitskin.simulator.deformation.dents import (
 from eitskin.simulator.deformation.depth_search import TOLERANCE, DepthSearch
 from eitskin.simulator.deformation.field import Field
 from eitskin.simulator.deformation.node_sums import NodeSums
-from eitskin.simulator.deformation.outline_sides import corner_distance
 from eitskin.simulator.deformation.pair_corrections import pair_corrections
 from eitskin.simulator.deformation.pressed_sensor import (
     DentedTouch,
@@ -35,7 +39,6 @@ from eitskin.simulator.deformation.solved_correction import Correction
 from eitskin.simulator.deformation.tabled_corrections import (
     correction_problems,
     corrections,
-    has_strip,
     rectangle_sums,
 )
 from eitskin.simulator.scene.indenters import Footprint
@@ -43,32 +46,6 @@ from eitskin.simulator.scene.scene import AnyIndenter, PressedTouch, Touch, neig
 
 Array = NDArray[np.float64]
 
-# Least compared distances of the axis from the gel's edge and from another touch [m].
-_MIN_EDGE_DISTANCE, _MIN_TOUCH_SPACING = 0.0035, 0.020
-# Depth and length of the gel over the stack's thickness, to which presses were compared.
-_MAX_RELATIVE_DEPTH, _MAX_RELATIVE_LENGTH = 0.55, 16.0
-# Ratios of cover to gel, in thickness and in shear modulus, and radii of indenters [m] to which
-# presses were compared. On a cover of 0.3 mm they are 5 % off a finer solution.
-_MIN_COVER, _MODULI, _MIN_RADIUS = 1.0 / 3.0, (1.0 / 3.0, 3.0), 0.003
-# Thickness and modulus of a cover over the gel's from which presses are 11 % off a finer solution.
-_MEMBRANE = (0.1, 50.0)
-_ALIKE = 1e-6  # relative difference of values that count as equal
-# Extent over the width of a footprint: one of 2.7 came 6 % deeper turned by 30 degrees.
-_MAX_SLENDERNESS = 1.5
-# Distance from a re-entrant corner over the stack's thickness, within which sums leave over 7 %.
-_MIN_CORNER_DISTANCE = 2.0
-# Errors of the signal beyond these distances, with 0.7 % of the mesh of "fast". On a flat sensor 95
-# of 100 are below 3.1 % (32 in `bench world`), by sides of a polygon below 4.6 % of the tables of a
-# like rectangle (41; on an L once 7.4 %). Few were compared on plates (6, 2.1 % at most) and over
-# their gap (3, 5.1 %; 12 between places of the table, with 3D solutions: 5.5 %).
-_FLAT, _POLYGON, _ON_PLATES, _OVER_GAP, _BENT_AFTER = 0.04, 0.08, 0.05, 0.10, 0.15
-# The same beside a side, and in a corner nearer to its vertex than so many radii of the indenter:
-# of 8 compared the tables are 7.4 % off a solution in one corner, and at most 4.7 % elsewhere.
-_AT_EDGE, _SIDE_DISTANCE, _CORNER_RADII = 0.08, 0.005, 1.8
-_NOT_VALIDATED_AFTER_BEND = (
-    "bent, rolled or twisted after the touch, with an unmeasured error; with the support "
-    "'plates' and a clamp, without roll and twist, touch and bend are solved together"
-)
 _TRIED_PARTS = 0.45, 0.9  # of the deepest dent of a table, by which deeper ones are foreseen
 _MOST_SEARCHED = 10  # dents tried in a search for given depths
 
@@ -281,20 +258,9 @@ def _evaluate(
 def require_model(touches: tuple[Touch, ...], sensor: PressedSensor) -> None:
     """Raise ConfigurationError for tables of touches whose corrections cannot be tabulated.
 
-    So do touches of which neither cover nor moduli nor indenter is like any compared, and those on
-    a cover that is thin and much stiffer than the gel.
+    So do touches that are like none compared.
     """
-    design, mechanics = sensor.design, sensor.mechanics
-    cover = 0.5 * (design.encapsulated_thickness / design.thickness - 1.0)
-    stiffness = mechanics.encapsulation.shear_modulus / mechanics.gel.shear_modulus
-    is_membrane = 0.0 < cover < _MEMBRANE[0] and stiffness > _MEMBRANE[1]
-    for touch in touches:
-        reasons = uncompared_properties(touch.indenter, sensor)
-        if is_membrane or len(reasons) > 2:  # beyond all three properties at once
-            raise ConfigurationError(
-                f"no press was ever compared that is like this one: {'; '.join(reasons)}. Bring "
-                "one of these within what was compared"
-            )
+    require_compared(touches, sensor.design, sensor.mechanics)
     if touches and sensor.model == "tabulated" and not sensor.is_tabulable:
         outline = type(sensor.design.outline).__name__.lower()
         raise ConfigurationError(
@@ -394,28 +360,20 @@ def pressed_touches(
     `bent_after` says that the pressed sensor is bent, rolled or twisted afterwards, and `compared`
     that this is like cases that were compared with presses of the bent sensor.
     """
-    design, outline = sensor.design, sensor.design.outline
-    flat = _FLAT if has_strip(design) else _POLYGON
-    gap = design.support.gap(outline) if isinstance(design.support, Plates) else (0.0, 0.0)
     all_pressed = []
     scene = _solve_dents(touches, sensor, with_depths=True)
     holding = iter(() if scene.solved is None else scene.solved.holding.tolist())
     for each, sunk in zip(scene.touches, scene.sunk.tolist(), strict=True):
         touch, dent, force = each.touch, each.dent, each.force
-        edge = float(outline.nearest(np.array([touch.x, touch.y]))[1])
+        edge = float(sensor.design.outline.nearest(np.array([touch.x, touch.y]))[1])
         neighbour = neighbour_distance(touch, touches)
         depth = each.depth + sunk
-        cautions = _cautions(touch, edge, neighbour, depth, design)
-        cautions += uncompared_properties(touch.indenter, sensor)
-        error = flat
-        if bent_after:
-            error = _BENT_AFTER
-        elif isinstance(design.support, Plates):
-            error = _OVER_GAP if gap[0] < touch.x < gap[1] else _ON_PLATES
-        reach = _CORNER_RADII * touch.indenter.rims[1]
-        if edge < _SIDE_DISTANCE or corner_distance(outline, touch.x, touch.y) < reach:
-            error = max(error, _AT_EDGE)
-        cautions += [_NOT_VALIDATED_AFTER_BEND] * (bent_after and not compared)
+        deepest = sensor.plates.deepest(touch.indenter, touch.x) if sensor.plates and dent else 0.0
+        part = dent.depth / deepest if dent and deepest else 1.0
+        error = signal_error(touch, edge, sensor.design, part, bent_after)
+        about = edge, neighbour, depth, sensor.design, sensor.mechanics
+        cautions = find_cautions(touch, *about)
+        cautions += [NOT_VALIDATED_AFTER_BEND] * (bent_after and not compared)
         radius, pressure, thinning = 0.0, 0.0, 0.0
         if each.press is not None and scene.solved is not None:
             elastic, peak, touching = next(holding)
@@ -442,49 +400,3 @@ def pressed_touches(
             )
         )
     return tuple(all_pressed)
-
-
-def _cautions(
-    touch: Touch, edge: float, neighbour: float, depth: float, design: SensorDesign
-) -> list[str]:
-    """Reasons why the error of such a touch was not measured."""
-    outline, thickness, reasons = design.outline, design.encapsulated_thickness, list[str]()
-    length = max(outline.length, outline.width) / thickness
-    if length > _MAX_RELATIVE_LENGTH:
-        reasons.append(f"a sensor {length:.3g} times as long as thick, longer than was measured")
-    if not isinstance(outline, Rectangle | Polygon):
-        reasons.append("on this outline the error was not measured")
-    elif corner_distance(outline, touch.x, touch.y, math.pi) < _MIN_CORNER_DISTANCE * thickness:
-        reasons.append("next to a re-entrant corner the error was not measured")
-    if (
-        isinstance(touch.indenter, Footprint)
-        and not touch.indenter.is_aligned
-        and touch.indenter.slenderness > _MAX_SLENDERNESS
-    ):
-        reasons.append("the error of narrow turned footprints was not measured")
-    if edge < _MIN_EDGE_DISTANCE:
-        reasons.append(f"{1e3 * edge:.1f} mm from the edge of the gel, closer than was measured")
-    if neighbour < _MIN_TOUCH_SPACING:
-        reasons.append(f"{1e3 * neighbour:.1f} mm from another touch, closer than was measured")
-    if depth > _MAX_RELATIVE_DEPTH * thickness:
-        reasons.append(f"{1e3 * depth:.1f} mm deep, deeper than was measured")
-    return reasons
-
-
-def uncompared_properties(indenter: AnyIndenter, sensor: PressedSensor) -> list[str]:
-    """Properties of a stack and an indenter beyond those whose signals were compared, in words."""
-    design, mechanics = sensor.design, sensor.mechanics
-    reasons = []
-    cover = 0.5 * (design.encapsulated_thickness - design.thickness) / design.thickness
-    if cover < _MIN_COVER * (1.0 - _ALIKE):
-        least = f"{_MIN_COVER:.2g} or more"
-        reasons.append(f"a cover of {cover:.2g} times the gel's thickness, {least} was compared")
-    moduli = mechanics.encapsulation.shear_modulus / mechanics.gel.shear_modulus
-    low, high = _MODULI
-    if cover > 0.0 and not low * (1.0 - _ALIKE) <= moduli <= high * (1.0 + _ALIKE):
-        within = f"{low:.2g} to {high:g} was compared"
-        reasons.append(f"a cover {moduli:.3g} times as stiff as the gel, {within}")
-    if (radius := indenter.rims[1]) < _MIN_RADIUS * (1.0 - _ALIKE):
-        least = f"{1e3 * _MIN_RADIUS:g} mm or more was compared"
-        reasons.append(f"an indenter of {1e3 * radius:.2g} mm radius, {least}")
-    return reasons

@@ -31,12 +31,9 @@ from eitskin.simulator import (
     Touch,
 )
 from eitskin.simulator.deformation import pressed_sensor
+from eitskin.simulator.deformation.compared_presses import uncompared_properties
 from eitskin.simulator.deformation.pressed_sensor import PressedSensor
-from eitskin.simulator.deformation.touches import (
-    pressed_touches,
-    require_model,
-    uncompared_properties,
-)
+from eitskin.simulator.deformation.touches import pressed_touches, require_model
 from eitskin.simulator.mechanics import stack_mesh
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 from eitskin.simulator.mechanics.materials import NeoHookean
@@ -324,8 +321,7 @@ def test_no_error_is_stated_for_stacks_and_indenters_beyond_those_compared(
 ):
     design = dataclasses.replace(DESIGN, encapsulated_thickness=thickness)
     around = NeoHookean(factor * Mechanics().gel.shear_modulus)
-    sensor = PressedSensor(design, Mechanics(encapsulation=around))
-    found = uncompared_properties(indenter, sensor)
+    found = uncompared_properties(indenter, design, Mechanics(encapsulation=around))
     assert len(found) == bool(words)
     assert words in "".join(found)
 

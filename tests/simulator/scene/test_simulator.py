@@ -121,6 +121,15 @@ def test_a_scene_keeps_its_support_and_indenters_in_its_file(support) -> None:
     assert parse_toml(Scene, to_toml(scene)) == scene
 
 
+@pytest.mark.parametrize(
+    ("x", "force", "error"), [(0.040, 6.0, 0.05), (0.070, 2.0, 0.10), (0.070, 0.3, 0.20)]
+)
+def test_errors_on_plates_are_larger_over_the_gap_and_for_light_touches_there(x, force, error):
+    scene = Scene(Bend(20.0), (Touch(x, 0.030, force),), support=Plates())
+    (pressed,) = Simulator(REFERENCE, "coarse").presses(scene)
+    assert pressed.signal_error == error
+
+
 def test_presses_on_the_plates_of_the_reference_ship():
     """Far from the gap they are those on a rigid base; bent they turn with their plate."""
     sim, touches = Simulator(REFERENCE, "coarse"), (Touch(0.012, 0.030, 6.0),)
