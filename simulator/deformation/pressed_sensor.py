@@ -1,5 +1,6 @@
 """Sensor that is touched: the dents of its touches, and their solution in 3D."""
 
+import math
 from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Literal, NamedTuple, Protocol
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Clamp
 from eitskin.geometry.deformation.kinematics import Deformation
-from eitskin.geometry.design.sensor import Plates, SensorDesign
+from eitskin.geometry.design.sensor import Free, Plates, SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.deformation.contact import (
     BentState,
@@ -38,6 +39,10 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 TouchModel = Literal["tabulated", "solved"]
 
+# Search for depths: their error, first dent where the base gives way over the thickness of the
+# stack, largest step, and least sinking over a dent's depth.
+DEPTH_TOLERANCE, _FIRST_DENT = 1e-3, 0.1
+_LARGEST_STEP, _LEAST_SUNK = math.log(4.0), -0.9
 _SHALLOW = 0.05  # typical depth of a flat punch over the thickness of the stack
 _COMPACT = 1.5  # slenderness of a punch up to which small cells at its extents suffice
 _INNER = 1.0 / 3.0  # extents within those of a slender one at which cells are small, over these
@@ -299,3 +304,67 @@ def _relax(touch: Touch, force: float, share: float, mechanics: Mechanics) -> tu
         elastic = relaxation.elastic_force_at_depth(prony, force, touch.held, touch.released)
         acting = force * float(prony.relaxation(touch.held))
     return elastic if elastic > relaxation.FADED * force else 0.0, 0.0 if touch.released else acting
+
+
+class DepthSearch:
+    """Search for dents whose depths, with what the finite stack sinks, are the prescribed ones.
+
+    Broyden's method (Broyden 1965) for the logarithms of the depths, since dents and sinking grow
+    nearly in proportion; for one touch it is the secant method. Over a gap the stack sinks much
+    more than a dent is deep, so that a fixed-point iteration would not converge.
+
+    Attributes:
+        depths: depths of the dents in the unbounded stack to try next [m]; NaN for prescribed
+            forces and for footprints, which have no dents.
+        is_needed: whether any depth is prescribed.
+    """
+
+    def __init__(self, touches: tuple[Touch, ...], design: SensorDesign) -> None:
+        bodies = [None if isinstance(t.indenter, Footprint) else t.depth for t in touches]
+        target_depths = [math.nan if depth is None else depth for depth in bodies]
+        self._wanted = np.array(target_depths)
+        self.depths = np.array(
+            [
+                min(depth, _FIRST_DENT * design.encapsulated_thickness)
+                if _gives_way(touch, design)
+                else depth
+                for touch, depth in zip(touches, target_depths, strict=True)
+            ]
+        )
+        self._given = np.isfinite(self.depths)
+        self.is_needed = bool(self._given.any())
+        self._jacobian = np.eye(int(self._given.sum()))
+        self._last: tuple[Array, Array] | None = None
+
+    def advance(self, dents: Array, sunk: Array) -> bool:
+        """Whether the wanted depths are met; otherwise `depths` are those to try next.
+
+        Args:
+            dents: present depths of the dents, which may have faded since their release [m].
+            sunk: length by which each indenter now sinks deeper than its dent [m].
+        """
+        part = np.divide(sunk, dents, out=np.zeros(len(dents)), where=dents > 0.0)[self._given]
+        tried = np.log(self.depths[self._given])
+        reached = tried + np.log1p(np.maximum(part, _LEAST_SUNK))
+        error = reached - np.log(self._wanted[self._given])
+        if np.all(np.abs(error) < DEPTH_TOLERANCE):
+            return True
+        if self._last is not None:
+            step, change = tried - self._last[0], error - self._last[1]
+            self._jacobian += np.outer(change - self._jacobian @ step, step) / (step @ step)
+        self._last = tried, error
+        step = -np.linalg.lstsq(self._jacobian, error)[0]
+        step *= min(1.0, _LARGEST_STEP / np.abs(step).max())
+        self.depths[self._given] = np.exp(tried + step)
+        return False
+
+
+def _gives_way(touch: Touch, design: SensorDesign) -> bool:
+    """Whether the base under a touch is free, so that the stack may sink more than it is dented."""
+    if isinstance(design.support, Free):
+        return True
+    if not isinstance(design.support, Plates) or isinstance(design.outline, Surface):
+        return False
+    start, end = design.support.gap(design.outline)
+    beside = design.encapsulated_thickness
+    return start - beside < touch.x < end + beside

@@ -25,12 +25,13 @@ from eitskin.simulator.deformation.dents import (
     PlacedDent,
     TabulatedDent,
 )
-from eitskin.simulator.deformation.depth_search import TOLERANCE, DepthSearch
 from eitskin.simulator.deformation.field import Field
 from eitskin.simulator.deformation.node_sums import NodeSums
 from eitskin.simulator.deformation.pair_corrections import pair_corrections
 from eitskin.simulator.deformation.pressed_sensor import (
+    DEPTH_TOLERANCE,
     DentedTouch,
+    DepthSearch,
     PressedSensor,
     TouchModel,
     dent_touch,
@@ -145,8 +146,8 @@ def _solve_dents(
         if search.advance(np.array([each.depth for each in dented]), scene.sunk):
             return scene
     raise ConfigurationError(
-        f"no dents take these indenters to their depths within {TOLERANCE:.1%}; press less deep, "
-        "or prescribe forces"
+        f"no dents take these indenters to their depths within {DEPTH_TOLERANCE:.1%}; press less "
+        "deep, or prescribe forces"
     )
 
 

@@ -296,7 +296,7 @@ def changes(sim: Simulator, *touches: Touch, bend: Bend = FLAT):
 def test_tables_give_the_signals_of_solved_presses(
     support, fineness, bend, touch, limit, monkeypatch
 ) -> None:
-    """On cells that grow faster away from the press: a third of the time, 1 % of the signals."""
+    """On cells as coarse as the signals allow to 1 %, or as those of the table."""
     coarser = partial(pressed_sensor.stack_mesh, fineness=fineness)
     monkeypatch.setattr(pressed_sensor, "stack_mesh", coarser)
     design = dataclasses.replace(DESIGN, support=support)
