@@ -13,8 +13,7 @@ from eitskin.simulator.scene.scene import AnyIndenter, Touch
 
 # Least compared distances of the axis from the gel's edge and from another touch [m].
 _MIN_EDGE_DISTANCE, _MIN_TOUCH_SPACING = 0.0035, 0.020
-# Depth and length of the gel over the stack's thickness, to which presses were compared.
-_MAX_RELATIVE_DEPTH, _MAX_RELATIVE_LENGTH = 0.55, 16.0
+_MAX_RELATIVE_DEPTH = 0.55  # over the stack's thickness, to which presses were compared
 # Ratios of cover to gel, in thickness and in shear modulus, and radii of indenters [m] to which
 # presses were compared. On a cover of 0.3 mm they are 5 % off a finer solution.
 _MIN_COVER, _MODULI, _MIN_RADIUS = 1.0 / 3.0, (1.0 / 3.0, 3.0), 0.003
@@ -105,9 +104,6 @@ def find_cautions(
     """
     reasons = uncompared_properties(touch.indenter, design, mechanics)
     outline, thickness = design.outline, design.encapsulated_thickness
-    length = max(outline.length, outline.width) / thickness
-    if length > _MAX_RELATIVE_LENGTH:
-        reasons.append(f"a sensor {length:.3g} times as long as thick, longer than was measured")
     if not isinstance(outline, Rectangle | Polygon):
         reasons.append("on this outline the error was not measured")
     elif corner_distance(outline, touch.x, touch.y, math.pi) < _MIN_CORNER_DISTANCE * thickness:

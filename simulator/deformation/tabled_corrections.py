@@ -52,12 +52,12 @@ _WORKERS = os.cpu_count() or 1
 _Straight = Rectangle | Polygon
 # Kinds of tables: how they are solved, and versions, to be raised whenever that changes.
 _KINDS: dict[str, tuple[Callable[..., SolutionTable], int]] = {
-    "strip": (tables.solve_strip, 3),
-    "end": (tables.solve_end, 3),
-    "side": (tables.solve_side, 2),
-    "disc": (tables.solve_disc, 2),
-    "pair": (pair_tables.solve_pair, 4),
-    "pair-sides": (pair_tables.solve_pair_sides, 1),
+    "strip": (tables.solve_strip, 4),
+    "end": (tables.solve_end, 4),
+    "side": (tables.solve_side, 3),
+    "disc": (tables.solve_disc, 3),
+    "pair": (pair_tables.solve_pair, 5),
+    "pair-sides": (pair_tables.solve_pair_sides, 2),
 }
 
 
