@@ -158,10 +158,10 @@ def sample(method):
     )
 
 
-def calibrated(method, angles=(-15.0, 10.0, 30.0, 45.0), offset=1e-3):
+def calibrated(method, angles=(-15.0, 10.0, 30.0, 45.0), offset=1e-3, flat_frames=4):
     """Calibration to a sensor whose channels bend a little more than the mean's."""
     change = method.bend_prior.predict([0.0]).value(angles) + offset * powers(angles, 1)
-    adapted, told = method.adapt(known_frames(FLAT, 4, change, angles))
+    adapted, told = method.adapt(known_frames(FLAT, flat_frames, change, angles))
     return adapted, told.calibration
 
 
@@ -186,6 +186,8 @@ def test_calibration_makes_angles_surer_and_arrays_make_the_method_again(method)
     assert after.bend_deviation_deg[0] < before.bend_deviation_deg[0]
     assert np.array(told.error_after_deg).max() < np.array(told.error_before_deg).max()
     assert told.residual_deg < 0.3
+    surer = calibrated(method, flat_frames=100)[1]
+    assert np.array(surer.error_after_deg).max() < np.array(told.error_after_deg).max()
 
 
 def test_known_touches_tell_how_far_to_trust_standard_errors(method):

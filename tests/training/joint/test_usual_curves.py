@@ -159,3 +159,16 @@ def test_sensors_on_plates_have_usual_curves_of_their_own(monkeypatch, mixture, 
             bend = model.angle(COMBINATIONS.combine(change, 1.0, 0.0))
             assert (bend.usual > 0.5, bend.usual_curve) == (True, number)
             assert abs(bend.angle_deg - angle) < 3.0 * bend.deviation_deg
+
+
+@pytest.mark.slow
+def test_the_likeliest_usual_curve_is_as_wide_as_what_it_shows(usual):
+    narrow = usual.predict(())
+    curves = narrow, replace(narrow, covariance=100.0 * narrow.covariance)
+    none = possible_faults(Protocol.pairwise(4), np.ones(CHANNELS))
+    model = SpecimenModel(np.zeros(0), None, curves[0], none, usual=curves)
+    noise, rng = NOISE**2 * np.eye(CHANNELS), np.random.default_rng(5)
+    for drawn in curves:
+        spread = np.linalg.cholesky(drawn.uncertainty(30.0) + noise)
+        change = drawn.value(30.0) + spread @ rng.standard_normal(CHANNELS)
+        assert model.likeliest_usual(change, noise) is drawn
