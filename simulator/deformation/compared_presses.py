@@ -26,7 +26,7 @@ _MAX_SLENDERNESS = 1.5
 _MIN_CORNER_DISTANCE = 2.0
 # Errors of the signal beyond these distances, with 0.7 % of the mesh of "fast". On a flat sensor 95
 # of 100 are below 3.1 % (32 in `bench world`), by sides of a polygon below 4.6 % of the tables of a
-# like rectangle (41; on an L once 7.4 %). Few were compared on plates (6, 2.1 % at most) and over
+# like rectangle (41; on an L once 7.4 %). Few were compared on plates (6, 2.2 % at most) and over
 # their gap (3, 5.1 %; 12 between places of the table, with 3D solutions: 5.5 %).
 _FLAT, _POLYGON, _ON_PLATES, _OVER_GAP, _BENT_AFTER = 0.04, 0.08, 0.05, 0.10, 0.15
 # Touches over the gap that are shallower than this part of the deepest dent: 17 % at 0.4 N.

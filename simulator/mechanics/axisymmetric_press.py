@@ -26,8 +26,8 @@ _FIRST_STEP = 0.008
 # Longest step, likewise: a rough indenter sticks to newly touched points only after each step.
 _MAX_STEP = 0.04
 _STEP_TO_FORCE = 0.5  # step over the longest, on the way to a force
-# Radius of the wall around the stack, over its thickness or the contact's radius. Dents fall by half
-# in 0.9 thicknesses; one of eight left 3.7 % of a signal where the ends of a sensor were beside it.
+# Radius of the wall around the stack over its thickness or the contact radius. Dents halve within
+# 0.9 thicknesses; with a wall at eight a thin sensor, whose ends are farther, came 3.7 % off.
 _REACH = 14.0
 _ATTRACTORS = 24  # most radii of refinement over the band where contact may end
 
