@@ -71,6 +71,22 @@ INDENTERS = {
 }
 
 
+@pytest.mark.slow
+def test_a_dent_fades_before_its_wall_as_it_does_without_one():
+    """A wall at eight thicknesses cuts it where the ends of thin sensors are."""
+    H = REFERENCE.levels[-1]
+    distance = H * np.arange(6.0, 11.0)
+    near, far = (
+        AxisymmetricPress(REFERENCE, Cylinder(), finest=0.003, reach=reach).to_depth(0.001)
+        for reach in (None, 24.0 * H)
+    )
+    moved, expected = (
+        np.abs([np.interp(distance, one.r, u, right=0.0) for u in one.displacement[..., 0].T])
+        for one in (near, far)
+    )
+    np.testing.assert_allclose(moved.max(axis=0), expected.max(axis=0), rtol=0.02)
+
+
 @cache
 def deeper_and_deeper(name):
     """The reference under an indenter at 2 mm, and what was found on the way there."""

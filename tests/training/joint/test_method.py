@@ -161,8 +161,8 @@ def sample(method):
 def calibrated(method, angles=(-15.0, 10.0, 30.0, 45.0), offset=1e-3, flat_frames=4):
     """Calibration to a sensor whose channels bend a little more than the mean's."""
     change = method.bend_prior.predict([0.0]).value(angles) + offset * powers(angles, 1)
-    adapted, told = method.adapt(known_frames(FLAT, flat_frames, change, angles))
-    return adapted, told.calibration
+    adapted, adaptation = method.adapt(known_frames(FLAT, flat_frames, change, angles))
+    return adapted, adaptation.calibration
 
 
 def test_calibration_makes_angles_surer_and_arrays_make_the_method_again(method):
@@ -177,17 +177,18 @@ def test_calibration_makes_angles_surer_and_arrays_make_the_method_again(method)
             np.testing.assert_allclose(said[name], array, atol=1e-4)
         np.testing.assert_array_equal(again.combinations.noise, one.combinations.noise)
         assert again.drift == one.drift
-    one, told = calibrated(method)
+    one, calibration = calibrated(method)
     frame = observed(method, angle_deg=35.0)
     own = np.exp(1e-3 * 35.0 / 50.0)
     frame = replace(frame, static=(1.0 + frame.static) * own - 1.0)
     before, after = method.predict(frame), one.predict(frame)
     assert abs(after.bend_angle_deg[0] - 35.0) < 0.3 * abs(before.bend_angle_deg[0] - 35.0)
     assert after.bend_deviation_deg[0] < before.bend_deviation_deg[0]
-    assert np.array(told.error_after_deg).max() < np.array(told.error_before_deg).max()
-    assert told.residual_deg < 0.3
+    after_deg = np.max(calibration.error_after_deg)
+    assert after_deg < np.max(calibration.error_before_deg)
+    assert calibration.residual_deg < 0.3
     surer = calibrated(method, flat_frames=100)[1]
-    assert np.array(surer.error_after_deg).max() < np.array(told.error_after_deg).max()
+    assert np.max(surer.error_after_deg) < after_deg
 
 
 def test_known_touches_tell_how_far_to_trust_standard_errors(method):
